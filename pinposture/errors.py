@@ -195,10 +195,10 @@ class URDFError(PostureError, ValueError):
 
 
 class WeightUnknown(PostureError, ValueError):
-    """Torques that cannot be computed or judged, because masses or torque limits are not known.
+    """Torques or sag that cannot be computed or judged: masses, torque limits or stiffness are not known.
 
     Attributes:
-        what: what is not known, "mass" or "torque limit".
+        what: what is not known, "mass", "torque limit" or "stiffness".
         names: the links or joints of which it is not known.
     """
 
@@ -213,6 +213,24 @@ class WeightUnknown(PostureError, ValueError):
             f"the {what} of {owner} {listed} is" if one else f"the {_plural(what)} of {owner}s {listed} are"
         )
         super().__init__(f"{subject} not known; {remedy}")
+
+
+class NoEquilibrium(PostureError, ValueError):
+    """A posture in which elastic joints do not hold the arm: it buckles, or falls to another one.
+
+    Attributes:
+        name: name of the value that describes the posture.
+        joint: the joint that gives way.
+        share: the share of the load up to which the joints hold it; None if that is not known.
+    """
+
+    def __init__(self, name: str, joint: str, share: float | None = None) -> None:
+        self.name = name
+        self.joint = joint
+        self.share = share
+        most = "" if share is None else f" beyond {100.0 * share:.2g} % of the load"
+        advice = "allowed: a posture with less load on it, a lighter load, or stiffer joints"
+        super().__init__(f"{name}: the arm has no stable rest, joint {joint!r} gives way{most}; {advice}")
 
 
 def _plural(word: str) -> str:

@@ -239,6 +239,8 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "moment of inertia": {"kgm^2": 1.0},
         "torque": {"Nm": 1.0, "Ncm": 1e-2, "mNm": 1e-3, "kNm": 1e3},
         "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+        "stiffness of turning": {"Nm/rad": 1.0, "Nm/deg": 180.0 / math.pi, "kNm/rad": 1e3},
+        "stiffness": {"N/m": 1.0, "N/mm": 1e3, "kN/m": 1e3},
     }
 )
 """Units by kind of quantity, with their values in SI units."""

@@ -109,8 +109,10 @@ def examples() -> dict[str, Any]:
         "Arm.with_cable.start": "module_01",
         "Arm.with_cable.end": 2,
         "effort": 7.0,
+        "stiffness": 50.0,
+        "q_command": np.full(6, 0.1),
         "gravity": (0.0, 0.0, -9.81),
-        "weight": Weight(payloads=(Load(0.5),), effort=7.0),
+        "weight": Weight(payloads=(Load(0.5),), effort=7.0, stiffness=50.0),
         "Arm.inverse_dynamics.q": np.full((2, 6), 0.1),
         "Arm.inverse_dynamics.velocities": np.full((2, 6), 0.1),
         "Arm.inverse_dynamics.accelerations": np.full((2, 6), 0.1),
@@ -241,8 +243,8 @@ def examples() -> dict[str, Any]:
 
 
 SUBJECTS: dict[str, Callable[[], Any]] = {
-    "Arm": lambda: an_arm().with_effort(7.0),
-    "ArmState": lambda: an_arm().with_effort(7.0).at(np.full(6, 0.2)),
+    "Arm": lambda: an_arm().with_effort(7.0).with_stiffness(50.0),
+    "ArmState": lambda: an_arm().with_effort(7.0).with_stiffness(50.0).at(np.full(6, 0.2)),
     "CollisionModel": lambda: pp.CollisionModel(an_arm(), examples()["scene"]),
     "Curve": lambda: pp.Curve.spline(examples()["control_points"]),
     "EndEffector": lambda: pp.EndEffector(position=(0.1, 0.0, 0.1)),

@@ -117,7 +117,7 @@ SHARED = [
     (ArmSpec, ("joint_limits", "characteristic_length")),
     (Load, ("mass", "com")),
     (Cable, ("mass_per_length", "start", "end")),
-    (Weight, ("effort", "gravity", "density")),
+    (Weight, ("effort", "stiffness", "gravity", "density")),
     (pp.Sphere, ("center", "radius")),
     (pp.Capsule, ("start", "end", "radius")),
     (pp.Box, ("center", "size", "rotation")),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing_extensions import Self, override
 
 from pinposture import kernels
 from pinposture._validation import (
+    as_floats,
     as_generator,
     as_number,
     entries_beyond,
@@ -63,6 +64,7 @@ from pinposture.arm.manipulability import (
     section_bases,
     section_ellipsoid,
 )
+from pinposture.arm.sag import curvature, settle, spring_root, weakest_joint
 from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.arm.specification import ArmSpec, PlacementSpec
@@ -72,6 +74,7 @@ from pinposture.arm.weight import (
     EFFORT_REMEDY,
     NOTHING,
     REMEDY,
+    STIFFNESS_REMEDY,
     TORQUE_ROUNDING,
     Added,
     Cable,
@@ -84,10 +87,11 @@ from pinposture.arm.weight import (
     effort_limits,
     largest_payload,
     links_without_mass,
+    stiffness_matrix,
     weighted_model,
 )
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, PostureError, WeightUnknown, warn_caller
+from pinposture.errors import InvalidValue, NoEquilibrium, PostureError, WeightUnknown, warn_caller
 from pinposture.kernels.arrays import Screws
 from pinposture.schema import as_plain, read_plain
 from pinposture.storage import settled
@@ -99,6 +103,10 @@ FARTHEST = 1e6
 """Distance from the base beyond which a coordinate is a mistake, in arm lengths."""
 TURN_TOLERANCE = 1e-9
 """Fraction of a turn that counts as rounding error."""
+OUTSIDE = 1e-9
+"""Excess over a position limit that counts as rounding error, in `Arm.joint_units`."""
+SAME_REST = 1e-6
+"""Largest distance of two postures that are the same, in `Arm.joint_units`."""
 
 
 class Arm(ConfigurationSpace):
@@ -157,6 +165,7 @@ class Arm(ConfigurationSpace):
         self._masses_checked = False
         self._effort_checked = False
         self.effort = _read_only(effort_limits(model, weight, self.drives))
+        self._springs = stiffness_matrix(model, weight, self.drives, self.in_metres)
         self.model = model = weighted_model(model, weight, self.added)
         lower = self.limits.lower
         upper = self.limits.upper
@@ -869,6 +878,23 @@ class Arm(ConfigurationSpace):
             effort = dict(zip(self.joint_names, listed.tolist(), strict=True))
         return self.with_weight(replace(self.weight, effort=effort))  # type: ignore[arg-type]
 
+    def with_stiffness(self, stiffness: float | Mapping[str, float] | ArrayLike | None) -> Arm:
+        """Return the same arm with elastic joints, between their commands and their positions.
+
+        Args:
+            stiffness: torque or force of each drive per displacement from its command [N m/rad or N/m]: one
+                number, if all joints turn or all slide; numbers by the name of the joint; one for each degree
+                of freedom, (nv,); or a matrix of them, (nv, nv), as of `Actuators.stiffness`. None: unknown.
+
+        Raises:
+            UnknownName: there is no such joint.
+            InvalidValue: not positive numbers, or a matrix that is not symmetric and positive definite.
+        """
+        if np.ndim(stiffness) == 1 and not isinstance(stiffness, Mapping):  # type: ignore[arg-type]
+            listed = finite_vector("stiffness", stiffness, self.nv)  # type: ignore[arg-type]
+            stiffness = dict(zip(self.joint_names, listed.tolist(), strict=True))
+        return self.with_weight(replace(self.weight, stiffness=stiffness))  # type: ignore[arg-type]
+
     def with_gravity(self, gravity: ArrayLike | None) -> Arm:
         """Return the same arm in another gravity.
 
@@ -995,6 +1021,117 @@ class Arm(ConfigurationSpace):
         if unknown and warns and not self._effort_checked:
             warn_caller(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
             self._effort_checked = True
+
+    @property
+    def stiffness(self) -> Array:
+        """Torque or force per displacement of the joints from their commands, (nv, nv) [N m/rad or N/m].
+
+        Raises:
+            WeightUnknown: the stiffness of a joint is not known: an unknown one is not rigid. Names it.
+        """
+        unknown = np.flatnonzero(np.diagonal(self._springs) == 0.0)
+        if len(unknown):
+            names = [self.joint_names[u] for u in unknown]
+            raise WeightUnknown("stiffness", names, STIFFNESS_REMEDY)
+        return _read_only(self._springs)
+
+    @cached_property
+    def _spring_root(self) -> Array:
+        """A matrix A with A A^T = K^-1, (nv, nv)."""
+        return spring_root(self.stiffness)
+
+    @cached_property
+    def sag_known(self) -> bool:
+        """Whether all masses and the stiffness of all joints are known."""
+        if not np.all(np.diagonal(self._springs) > 0.0):
+            return False
+        try:
+            self.require_masses(warns=False)
+        except PostureError:
+            return False
+        return True
+
+    def sag(self, q_command: ArrayLike) -> Array:
+        """Return the posture that the arm takes under load when it is commanded to another one.
+
+        Its joints are springs: at rest K (q - c) + g(q) = 0, with the command c, `stiffness` K and
+        `ArmState.gravity_torques` g. Of several such postures it is the one to which the unloaded arm moves
+        when the load grows slowly. It is not stopped by joint limits, which are those of commands.
+
+        Args:
+            q_command: the configuration that is sent to the drives, (nq,), or several, (N, nq).
+
+        Returns:
+            The configuration of the loaded arm, (nq,), or (N, nq).
+
+        Raises:
+            NoEquilibrium: the arm buckles; names the joint that gives way, and at which share of the load.
+            WeightUnknown: masses or a stiffness that are not known.
+            InvalidValue: not a configuration.
+        """
+        self.require_masses()
+        return self._for_rows("q_command", q_command, self._sagged)
+
+    def compensate(self, q: ArrayLike) -> Array:
+        """Return the command for which the loaded arm takes a posture: c = q + K^-1 g(q), see `sag`.
+
+        Args:
+            q: the configuration that the arm is to take, (nq,), or several, (N, nq).
+
+        Returns:
+            The configuration to send to the drives, (nq,), or (N, nq), within the joint limits.
+
+        Raises:
+            NoEquilibrium: a posture that is not stable; names the joint that gives way.
+            WeightUnknown: masses or a stiffness that are not known.
+            InvalidValue: not a configuration, or a joint whose command would be outside its limits; names it.
+        """
+        self.require_masses()
+        return self._for_rows("q", q, self._compensated)
+
+    def _for_rows(self, name: str, q: ArrayLike, change: Callable[[Array, str], Array]) -> Array:
+        """Change a configuration, (nq,), or each of several, (N, nq), which are checked."""
+        rows = as_floats(name, q)
+        if rows.ndim != 2:
+            return change(self.checked(q, name), name)
+        named = [(row, f"{name}[{k}]") for k, row in enumerate(rows)]
+        changed = [change(self.checked(row, where), where) for row, where in named]
+        return np.array(changed).reshape(len(rows), self.nq)
+
+    def _sagged(self, command: Array, name: str) -> Array:
+        def loads(displacement: Array) -> tuple[Array, Array]:
+            state = self.chain_at(self.integrate(command, displacement))
+            return state._gravity_torques(), state._gravity_gradient()
+
+        settled = settle(loads, self._spring_root, self.joint_units)
+        if settled.share < 1.0:
+            raise NoEquilibrium(name, self.joint_names[settled.weakest], settled.share)
+        return self.integrate(command, settled.displacement)
+
+    def _compensated(self, q: Array, name: str) -> Array:
+        state = self.chain_at(q)
+        bent = curvature(state._gravity_gradient(), self._spring_root)
+        if np.linalg.eigvalsh(bent)[0] <= 0.0:
+            raise NoEquilibrium(
+                name, self.joint_names[weakest_joint(bent, self._spring_root, self.joint_units)]
+            )
+        command = self.integrate(q, -state.deflection)
+        positions = state.raw_positions - state.deflection
+        beyond = np.maximum(self.limits.lower - positions, positions - self.limits.upper) / self.joint_units
+        worst = int(beyond.argmax())
+        if beyond[worst] > OUTSIDE:
+            unit = "m" if self.in_metres[worst] else "rad"
+            low = self.limits.lower[worst]
+            high = self.limits.upper[worst]
+            over = beyond[worst] * self.joint_units[worst]
+            allowed = f"{low:.4g} to {high:.4g} {unit}; against the load it would go {over:.3g} {unit} beyond"
+            joint = self.joint_names[worst]
+            raise InvalidValue(f"command of joint {joint!r} for {name}", float(positions[worst]), allowed)
+        reached = self.difference(q, self._sagged(command, name)) / self.joint_units
+        if np.abs(reached).max() > SAME_REST:
+            joint = self.joint_names[int(np.abs(reached).argmax())]
+            raise NoEquilibrium(name, joint)
+        return command
 
     def inverse_dynamics(self, q: ArrayLike, velocities: ArrayLike, accelerations: ArrayLike) -> Array:
         """Compute the torques and forces with which the motors move the arm, by Pinocchio.
@@ -1189,6 +1326,29 @@ class ArmState(ABC):
         self.arm.require_masses()
         return _read_only(self._gravity_torques())
 
+    @cached_property
+    def gravity_gradient(self) -> Array:
+        """Change of `gravity_torques` per joint motion, (nv, nv) [N m/rad, N or N/m]; symmetric.
+
+        Raises:
+            WeightUnknown: masses that are not known; names the links.
+            URDFError: an impossible mass or inertia in the description; names the link.
+        """
+        self.arm.require_masses()
+        return _read_only(self._gravity_gradient())
+
+    @cached_property
+    def deflection(self) -> Array:
+        """Displacement of the loaded arm at this posture from its command, (nv,) [rad or m]: -K^-1 g.
+
+        Whether the posture is stable is not checked; see `Arm.compensate`.
+
+        Raises:
+            WeightUnknown: masses or a stiffness that are not known; names the links or joints.
+        """
+        root = self.arm._spring_root
+        return _read_only(-root @ (root.T @ self.gravity_torques))
+
     @property
     def torque_margin(self) -> Array:
         """Torque or force that each motor has left at rest, (nv,) [N m or N]; negative if it has not enough.
@@ -1219,6 +1379,10 @@ class ArmState(ABC):
     @abstractmethod
     def _gravity_torques(self) -> Array:
         """Return the torques that balance gravity, given that masses are known."""
+
+    @abstractmethod
+    def _gravity_gradient(self) -> Array:
+        """Return their change per joint motion, given that masses are known."""
 
     def manipulability(self) -> Array:
         """Return the manipulability indices of all sections, (4.3) and (4.4); computed once per state.
@@ -1311,6 +1475,10 @@ class PinocchioState(ArmState):
     def _gravity_torques(self) -> Array:
         return cast(FrameReader, self.arm.frames).gravity_torques(self._q)
 
+    @override
+    def _gravity_gradient(self) -> Array:
+        return self.chain_state._gravity_gradient()
+
 
 class ChainState(ArmState):
     """The arm at one configuration, computed by the compiled pass along the chain, for solvers.
@@ -1364,13 +1532,24 @@ class ChainState(ArmState):
 
     @override
     def _gravity_torques(self) -> Array:
+        weighing, at = self._weighing
+        return weighing.gravity_torques(at)
+
+    @override
+    def _gravity_gradient(self) -> Array:
+        weighing, at = self._weighing
+        return weighing.gravity_gradient(at)
+
+    @property
+    def _weighing(self) -> tuple[Kinematics | FrameReader, Array]:
+        """What computes torques, and where: the pass along the chain, unless joints off it move, too."""
         arm = self.arm
         if len(arm.columns) == arm.nv:
-            return arm.kinematics.gravity_torques(self.raw_positions)
+            return arm.kinematics, self.raw_positions
         if arm.frames is None:
             allowed = f"an arm of at most {MAX_PINOCCHIO_DOF} DOF, or one without moving joints off its chain"
             raise InvalidValue("arm", arm, allowed)
-        return arm.frames.gravity_torques(self._q)
+        return arm.frames, self._q
 
 
 def arm_of(state: object) -> Arm:

@@ -485,6 +485,10 @@ class FrameReader:
         """Compute the torques and forces that balance gravity, (nv,) [N m or N]; a copy."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._buffers()[0], q))
 
+    def gravity_gradient(self, q: Array) -> Array:
+        """Compute the change of the torques that balance gravity per joint motion, (nv, nv); a copy."""
+        return np.array(pin.computeGeneralizedGravityDerivatives(self._model, self._buffers()[0], q))
+
     def inverse_dynamics(self, q: Array, velocities: Array, accelerations: Array) -> Array:
         """Compute the torques and forces of motions, (k, nv) each, at configurations (k, nq)."""
         data = self._buffers()[0]
@@ -615,14 +619,40 @@ class Kinematics:
         """
         chain, masses, usual = self._weights
         gravity = usual if gravity is None else gravity
+        axes, origins, centers = self._bodies(positions)
+        torques = np.zeros(len(self.endless))
+        kernels.gravity_torques(chain.joints, axes, origins, centers, masses, gravity, torques)
+        return torques
+
+    def _bodies(self, positions: Array) -> tuple[Array, Array, Array]:
+        """Return the axes and origins of the joints, and the centres of mass after each, (k, 3) each."""
+        chain, masses, _ = self._weights
         k = len(masses)
         axes = np.empty((k, 3))
         origins = np.empty((k, 3))
         centers = np.empty((k, 3))
-        torques = np.zeros(len(self.endless))
         kernels.placements(chain, positions, axes, origins, centers, np.empty((k, 3, 3)))
-        kernels.gravity_torques(chain.joints, axes, origins, centers, masses, gravity, torques)
-        return torques
+        return axes, origins, centers
+
+    def gravity_gradient(self, positions: Array) -> Array:
+        """Compute the change of the torques of `gravity_torques` per joint motion, (nv, nv), symmetric.
+
+        A joint has the torque -g . s: if it turns, s is its axis times the first moment of what it carries,
+        else its axis times their mass. A joint before it with axis a turns s, which gives -g . (a x s).
+        """
+        chain, masses, gravity = self._weights
+        axes, origins, centers = self._bodies(positions)
+        near = origins[0]  # no digits are lost far from the origin
+        carried = np.cumsum(masses[::-1])[::-1, None]
+        moments = np.cumsum((masses[:, None] * (centers - near))[::-1], axis=0)[::-1]
+        turns = (chain.joints.kinds == TURNS)[:, None]
+        moved = np.where(turns, np.cross(axes, moments - carried * (origins - near)), carried * axes)
+        pulls = np.where(turns, np.cross(gravity, axes), 0.0)
+        below = np.tril(-moved @ pulls.T)
+        of_joints = below + np.tril(below, -1).T
+        freedom = np.zeros((len(masses), len(self.endless)))
+        freedom[np.arange(len(masses)), chain.joints.columns] = chain.joints.ratios
+        return np.asarray(freedom.T @ of_joints @ freedom)
 
     @cached_property
     def _weights(self) -> tuple[ArmArrays, Array, Array]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, ValidationInfo, model_validator
 from typing_extensions import Self
 
-from pinposture._validation import is_whole, require_known
+from pinposture._validation import LARGEST_NUMBER, SMALLEST_NUMBER, as_floats, is_whole, require_known
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.couplings import Drive, is_coupled
 from pinposture.arm.inertias import RigidBody, physically_consistent, read_inertials
@@ -39,6 +39,7 @@ from pinposture.schema import (
     read_bounded,
     read_by,
     read_within,
+    refusing,
 )
 from pinposture.units import length_text
 
@@ -51,6 +52,10 @@ REMEDY = "give masses with pp.weigh(arm, density=...), or in the <inertial> of t
 
 EFFORT_REMEDY = "give torque limits with arm.with_effort(...), or in the description"
 """What to do about joints without torque limits."""
+STIFFNESS_REMEDY = "give it with arm.with_stiffness(...)"
+"""What to do about joints whose stiffness is not known."""
+SYMMETRIC = 1e-9
+"""Largest difference of a stiffness from that on the other side of the diagonal, relative to the largest."""
 
 
 def _read_list(value: object) -> object:
@@ -68,6 +73,7 @@ ControlPoint = Annotated[str | int, check(_is_point, "the name or the index of a
 Mass = Annotated[float, quantity("mass", least=0.0)]
 _Moments = Annotated[tuple[float, ...], quantities("moment of inertia", 6)]
 _Effort = ("torque", "force")
+_Stiffness = ("stiffness of turning", "stiffness")
 
 
 @declared()
@@ -125,13 +131,54 @@ class Cable(Declared):
     end: ControlPoint = -1
 
 
-def _read_effort(value: object, _: ValidationInfo) -> float | dict[str, float]:
+def _of_drives(value: object, kinds: Sequence[str], what: str) -> float | dict[str, float]:
+    """Read a positive quantity of every drive: one number, or numbers by name of the joint."""
     if not is_table(value):
-        return read_bounded(value, _Effort, above=0.0)
+        return read_bounded(value, kinds, above=0.0)
     if not all(isinstance(name, str) for name in value):  # type: ignore[attr-defined]
-        raise NotAllowed(value, "names of joints and their limits")
+        raise NotAllowed(value, f"names of joints and their {what}")
     listed: Mapping[str, object] = value  # type: ignore[assignment]
-    return {name: read_within(name, read_bounded, each, _Effort, 0.0) for name, each in listed.items()}
+    return {name: read_within(name, read_bounded, each, kinds, 0.0) for name, each in listed.items()}
+
+
+def _read_effort(value: object, _: ValidationInfo) -> float | dict[str, float]:
+    return _of_drives(value, _Effort, "limits")
+
+
+Matrix = tuple[tuple[float, ...], ...]
+"""Rows of a matrix."""
+
+
+def _read_stiffness(value: object, _: ValidationInfo) -> float | dict[str, float] | Matrix:
+    if not isinstance(value, list | tuple | np.ndarray):
+        return _of_drives(value, _Stiffness, "stiffness")
+    allowed = "one number, numbers by name of the joint, or a symmetric and positive definite matrix"
+    with refusing():
+        matrix = as_floats("stiffness", value, allowed)
+    if matrix.ndim != 2 or not matrix.size or len(matrix) != len(matrix.T):
+        raise NotAllowed(value, allowed)
+    if not np.all(np.abs(matrix) <= LARGEST_NUMBER):
+        raise NotAllowed(value, "finite numbers")
+    if np.abs(matrix - matrix.T).max() > SYMMETRIC * np.abs(matrix).max():
+        raise NotAllowed(value, "a symmetric matrix")
+    diagonal = np.diagonal(matrix)
+    if diagonal.min() < SMALLEST_NUMBER or not is_definite(scaled(matrix, 1.0 / np.sqrt(diagonal))):
+        raise NotAllowed(value, "a positive definite matrix, in which a stiffness holds every motion")
+    return tuple(tuple(row) for row in ((matrix + matrix.T) / 2.0).tolist())
+
+
+DEFINITE = 1e-9
+"""Smallest eigenvalue of a stiffness relative to the stiffnesses of single joints: more than rounding."""
+
+
+def scaled(matrix: Array, units: Array) -> Array:
+    """Return a matrix of pairs of joints, (n, n), with their motions in other units, (n,)."""
+    return np.asarray(units[:, None] * matrix * units)
+
+
+def is_definite(matrix: Array) -> bool:
+    """Check whether a symmetric matrix, (n, n), is positive definite by more than rounding."""
+    return bool(np.linalg.eigvalsh(matrix)[0] > DEFINITE)
 
 
 @declared()
@@ -145,6 +192,9 @@ class Weight(Declared):
         density: density of the shapes from which `masses` were computed [kg/m^3]; None: from none.
         effort: largest torque or force of each drive [N m or N]: one number, or numbers by name of the joint;
             that of the description if None.
+        stiffness: torque or force per displacement of each drive from its command [N m/rad or N/m]: one
+            number, or numbers by name of the joint; or that of all degrees of freedom, (nv, nv), where
+            tendons hold several joints. Unknown if None.
         gravity: gravitational acceleration, world frame, (3,) [m/s^2]; that of the model if None, usually
             9.81 along -z.
     """
@@ -154,6 +204,7 @@ class Weight(Declared):
     cables: Annotated[tuple[Cable, ...], Listed] = ()
     density: PositiveNumber | None = None
     effort: Annotated[float | dict[str, float], read_by(_read_effort)] | None = None
+    stiffness: Annotated[float | dict[str, float] | Matrix, read_by(_read_stiffness)] | None = None
     gravity: Annotated[tuple[float, ...], quantities("acceleration", 3)] | None = None
 
 
@@ -291,25 +342,79 @@ def effort_limits(model: pin.Model, weight: Weight, drives: Sequence[Drive]) -> 
     """
     limits = np.minimum(np.asarray(model.upperEffortLimit), -np.asarray(model.lowerEffortLimit))
     limits = np.where((limits > 0.0) & (limits < NO_LIMIT), limits, np.inf)
-    if weight.effort is None:
-        return limits
+    if weight.effort is not None:
+        for column, limit in _along_leaders(weight.effort, model, drives, 1).items():
+            limits[column] = limit
+    return limits
+
+
+def _along_leaders(
+    given: float | dict[str, float], model: pin.Model, drives: Sequence[Drive], power: int
+) -> dict[int, float]:
+    """Return values of drives as those of degrees of freedom, by index.
+
+    Args:
+        given: one value of all drives, or values by name of the joint.
+        model: the model of the arm.
+        drives: its drives of coupled joints.
+        power: of the ratio of a drive in the value along the leader: 1 of a torque, 2 of a stiffness.
+
+    Raises:
+        UnknownName: a joint does not exist.
+    """
     names = [str(name) for name in list(model.names)[1:]]
     columns = {
         name: model.joints[k].idx_v for k, name in enumerate(names, 1) if not is_coupled(model.joints[k])
     }
     shares = {name: (column, 1.0) for name, column in columns.items()}
-    driven = {each.joint: (columns[each.leader], abs(each.ratio)) for each in drives}
-    if not isinstance(weight.effort, dict):
-        at_drives = dict.fromkeys(columns.values(), weight.effort)
-        at_drives |= {column: weight.effort * ratio for column, ratio in driven.values()}
-        for column, limit in at_drives.items():
-            limits[column] = limit
-        return limits
-    for name, limit in weight.effort.items():
+    driven = {each.joint: (columns[each.leader], abs(each.ratio) ** power) for each in drives}
+    if not isinstance(given, dict):
+        return {column: given * share for column, share in [*shares.values(), *driven.values()]}
+    values = {}
+    for name, value in given.items():
         require_known("moving joint", name, shares | driven)
-        column, ratio = (shares | driven)[name]
-        limits[column] = limit * ratio
-    return limits
+        column, share = (shares | driven)[name]
+        values[column] = value * share
+    return values
+
+
+# Stiffness.
+
+
+def stiffness_matrix(
+    model: pin.Model, weight: Weight, drives: Sequence[Drive], in_metres: NDArray[np.bool_]
+) -> Array:
+    """Return the torque or force per displacement of the degrees of freedom, (nv, nv) [N m/rad or N/m].
+
+    Where a drive moves coupled joints, its stiffness is that along the leader of the arm, by virtual work.
+
+    Args:
+        model: the model of the arm.
+        weight: its weight.
+        drives: its drives of coupled joints.
+        in_metres: which degrees of freedom slide, (nv,).
+
+    Returns:
+        The matrix; zero on the diagonal where it is not known.
+
+    Raises:
+        UnknownName: a joint does not exist.
+        InvalidValue: a matrix of another size, or one number for joints that turn and joints that slide.
+    """
+    given = weight.stiffness
+    if isinstance(given, tuple):
+        if len(given) != model.nv:
+            shape = len(given), len(given)
+            raise InvalidValue("stiffness (shape)", shape, f"({model.nv}, {model.nv}), of the arm")
+        return np.array(given)
+    if isinstance(given, float) and np.any(in_metres) and not np.all(in_metres):
+        allowed = "numbers by name of the joint, as some joints turn [N m/rad] and others slide [N/m]"
+        raise InvalidValue("stiffness", given, allowed)
+    stiffness = np.zeros((model.nv, model.nv))
+    if given is not None:
+        for column, value in _along_leaders(given, model, drives, 2).items():
+            stiffness[column, column] = value
+    return stiffness
 
 
 # What is not known, and what is impossible.

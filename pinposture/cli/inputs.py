@@ -134,6 +134,14 @@ class ArmOptions:
             "Largest torque or force of every drive, in N m or N; default: that of the description.", "TORQUE"
         ),
     ] = None
+    stiffness: Annotated[
+        str | None,
+        ARM(
+            "Torque or force of every drive per displacement from its command, in N m/rad or N/m: the arm "
+            "sags.",
+            "STIFFNESS",
+        ),
+    ] = None
     payload: Annotated[
         list[str] | None,
         ARM(
@@ -202,6 +210,8 @@ class ArmOptions:
             arm = arm.with_payload(
                 read_option("--payload", mass, Mass), frame=frame.strip() if found else None
             )
+        if self.stiffness is not None:
+            arm = arm.with_stiffness(as_data(self.stiffness))
         return arm if self.effort is None else arm.with_effort(as_data(self.effort))
 
     def refuse(self, allowed: str) -> None:

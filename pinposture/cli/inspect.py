@@ -20,7 +20,7 @@ from pinposture.cli.inputs import (
     read_points,
 )
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
-from pinposture.errors import InvalidValue, PostureError, UnsupportedModule, enumerated
+from pinposture.errors import InvalidValue, NoEquilibrium, PostureError, UnsupportedModule, enumerated
 from pinposture.storage import write_figure
 from pinposture.units import error_text, length_text
 
@@ -289,7 +289,23 @@ def describe_weight(arm: Arm) -> dict[str, Any]:
             "gives_up": held.load.as_data(),
             "payload": held.payload if np.isfinite(held.payload) else None,
         },
+        "sag": _describe_sag(arm),
     }
+
+
+def _describe_sag(arm: Arm) -> dict[str, Any] | None:
+    """Describe how far the tip of the straight arm sags [m], or why it does not stay; None if unknown."""
+    import numpy as np
+
+    if not arm.sag_known:
+        return None
+    straight = arm.straight()
+    try:
+        sagged = arm.sag(straight)
+    except NoEquilibrium as error:
+        return {"tip": None, "problem": str(error)}
+    moved = arm.at(sagged).points[-1] - arm.at(straight).points[-1]
+    return {"tip": float(np.linalg.norm(moved)), "problem": None}
 
 
 def _weight_in_words(weight: Mapping[str, Any], length: float) -> dict[str, str]:
@@ -304,6 +320,9 @@ def _weight_in_words(weight: Mapping[str, Any], length: float) -> dict[str, str]
     carried += [f"a cable of {each['mass_per_length']:.4g} kg/m" for each in given.get("cables", ())]
     if carried:
         words["carries"] = enumerated(carried, 8)
+    if weight["sag"] is not None:
+        sag = weight["sag"]
+        words["sag"] = sag["problem"] or f"{length_text(sag['tip'])} at the tip of the straight arm"
     lacking = weight["joints_without_effort"]
     if weight["unknown_masses"]:
         return words

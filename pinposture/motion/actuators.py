@@ -198,16 +198,42 @@ class Actuators(Declared):
             InvalidValue: not k finite numbers, or actuators that do not determine the degrees of freedom.
         """
         given = finite_vector("positions", positions, len(self.names))
-        columns = self.matrix[:, self.arm.columns]
-        u, sigma, vt = np.linalg.svd(columns, full_matrices=False)
-        if len(sigma) < columns.shape[1] or sigma[-1] <= INDEPENDENT * sigma[0]:
-            free = self.arm.joint_names[self.arm.columns[int(np.abs(vt[-1]).argmax())]]
-            rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma[0]))
-            allowed = f"{columns.shape[1]} independent rows; {free!r} is not determined"
-            raise InvalidValue("rank of the matrix", rank, allowed)
+        u, sigma, vt = self._require_determined()
         moved = np.zeros(self.arm.nv)
         moved[self.arm.columns] = vt.T @ ((u.T @ given) / sigma)
         return self.arm.configuration(moved), float(np.abs(self.matrix @ moved - given).max())
+
+    def _require_determined(self) -> tuple[Array, Array, Array]:
+        """Return the singular values of the matrix; raise InvalidValue if a degree of freedom is free."""
+        columns = self.matrix[:, self.arm.columns]
+        u, sigma, vt = np.linalg.svd(columns)
+        rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma.max(initial=0.0)))
+        if rank < columns.shape[1]:
+            free = self.arm.joint_names[self.arm.columns[int(np.abs(vt[-1]).argmax())]]
+            allowed = f"{columns.shape[1]} independent rows; {free!r} is not determined"
+            raise InvalidValue("rank of the matrix", rank, allowed)
+        return u[:, : len(sigma)], sigma, vt
+
+    def stiffness(self, stiffness: float | ArrayLike) -> Array:
+        """Return the stiffness of the joints that elastic tendons or gears hold, R^T diag(k) R.
+
+        It holds while the tendons are taut. `Arm.with_stiffness` takes it.
+
+        Args:
+            stiffness: force or torque of each actuator per displacement from its command, one number or (k,)
+                [N/m or N m/rad].
+
+        Returns:
+            Torque or force per displacement of the degrees of freedom, (nv, nv) [N m/rad or N/m].
+
+        Raises:
+            InvalidValue: not positive numbers, or actuators that leave a degree of freedom free: names it.
+        """
+        each = _of_each("stiffness", stiffness, len(self.names))
+        for number in each:
+            require_positive("stiffness", float(number))
+        self._require_determined()
+        return np.asarray(self.matrix.T @ (each[:, None] * self.matrix))
 
     def tensions(
         self, torques: ArrayLike, least: float | ArrayLike = 0.0, most: float | ArrayLike = inf
