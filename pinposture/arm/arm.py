@@ -103,7 +103,7 @@ FARTHEST = 1e6
 """Distance from the base beyond which a coordinate is a mistake, in arm lengths."""
 TURN_TOLERANCE = 1e-9
 """Fraction of a turn that counts as rounding error."""
-OUTSIDE = 1e-9
+BEYOND = 1e-9
 """Excess over a position limit that counts as rounding error, in `Arm.joint_units`."""
 SAME_REST = 1e-6
 """Largest distance of two postures that are the same, in `Arm.joint_units`."""
@@ -165,7 +165,9 @@ class Arm(ConfigurationSpace):
         self._masses_checked = False
         self._effort_checked = False
         self.effort = _read_only(effort_limits(model, weight, self.drives))
-        self._springs = stiffness_matrix(model, weight, self.drives, self.in_metres)
+        self._springs = np.zeros((self.nv, self.nv))  # 0 on the diagonal: not known
+        if weight.stiffness is not None:
+            self._springs = stiffness_matrix(model, weight.stiffness, self.drives, self.in_metres)
         self.model = model = weighted_model(model, weight, self.added)
         lower = self.limits.lower
         upper = self.limits.upper
@@ -1119,7 +1121,7 @@ class Arm(ConfigurationSpace):
         positions = state.raw_positions - state.deflection
         beyond = np.maximum(self.limits.lower - positions, positions - self.limits.upper) / self.joint_units
         worst = int(beyond.argmax())
-        if beyond[worst] > OUTSIDE:
+        if beyond[worst] > BEYOND:
             unit = "m" if self.in_metres[worst] else "rad"
             low = self.limits.lower[worst]
             high = self.limits.upper[worst]

@@ -382,7 +382,10 @@ def _along_leaders(
 
 
 def stiffness_matrix(
-    model: pin.Model, weight: Weight, drives: Sequence[Drive], in_metres: NDArray[np.bool_]
+    model: pin.Model,
+    given: float | dict[str, float] | Matrix,
+    drives: Sequence[Drive],
+    in_metres: NDArray[np.bool_],
 ) -> Array:
     """Return the torque or force per displacement of the degrees of freedom, (nv, nv) [N m/rad or N/m].
 
@@ -390,7 +393,7 @@ def stiffness_matrix(
 
     Args:
         model: the model of the arm.
-        weight: its weight.
+        given: as in `Weight`.
         drives: its drives of coupled joints.
         in_metres: which degrees of freedom slide, (nv,).
 
@@ -401,7 +404,6 @@ def stiffness_matrix(
         UnknownName: a joint does not exist.
         InvalidValue: a matrix of another size, or one number for joints that turn and joints that slide.
     """
-    given = weight.stiffness
     if isinstance(given, tuple):
         if len(given) != model.nv:
             shape = len(given), len(given)
@@ -411,9 +413,8 @@ def stiffness_matrix(
         allowed = "numbers by name of the joint, as some joints turn [N m/rad] and others slide [N/m]"
         raise InvalidValue("stiffness", given, allowed)
     stiffness = np.zeros((model.nv, model.nv))
-    if given is not None:
-        for column, value in _along_leaders(given, model, drives, 2).items():
-            stiffness[column, column] = value
+    for column, value in _along_leaders(given, model, drives, 2).items():
+        stiffness[column, column] = value
     return stiffness
 
 
