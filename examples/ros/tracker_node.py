@@ -2,7 +2,8 @@
 
 python examples/ros/tracker_node.py arm.urdf curve.json
 
-The commands go to a JointGroupPositionController of ros2_control that has the joints in the order of the arm.
+The commands go to a JointGroupPositionController of ros2_control that has the joints in the order of
+`arm.drives.names`, which are those of `arm.joint_names` unless joints are coupled.
 Publish a std_msgs/String with the name of a curve file on /curve to give the arm another shape.
 """
 
@@ -38,8 +39,8 @@ class TrackerNode(Node):
     def on_joint_states(self, message: JointState) -> None:
         """Keep the measured positions; joints come by name, in any order, perhaps with others."""
         positions = dict(zip(message.name, message.position, strict=True))
-        if all(name in positions for name in self.arm.joint_names):
-            self.measured = [positions[name] for name in self.arm.joint_names]  # with their full turns
+        if all(name in positions for name in self.arm.drives.names):
+            self.measured = positions  # with their full turns
             self.age = 0
 
     def on_curve(self, message: String) -> None:

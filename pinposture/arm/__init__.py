@@ -2,7 +2,7 @@
 
 from pinposture.arm.arm import Arm, ArmState, ChainState, bent_configuration, smooth_configuration
 from pinposture.arm.configurations import JointLimits
-from pinposture.arm.couplings import Coupling
+from pinposture.arm.couplings import Coupling, Drive, DrivenJoints
 from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
@@ -18,6 +18,8 @@ __all__ = [
     "ChainState",
     "ControlPoints",
     "Coupling",
+    "Drive",
+    "DrivenJoints",
     "Ellipsoid",
     "Feasibility",
     "FeedSpec",

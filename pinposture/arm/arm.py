@@ -34,7 +34,7 @@ from pinposture.arm.configurations import (
     check_joint_positions,
     plausible_positions,
 )
-from pinposture.arm.couplings import Coupling, Drive, joint_axes, read_couplings
+from pinposture.arm.couplings import Coupling, Drive, DrivenJoints, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
@@ -164,7 +164,7 @@ class Arm(ConfigurationSpace):
         self.added: tuple[Added, ...] = added_masses(weight, model, self.chain, self.control_points, self.tip)
         self._masses_checked = False
         self._effort_checked = False
-        self.effort = _read_only(effort_limits(model, weight, self.drives))
+        self.effort = _read_only(effort_limits(model, weight, report.drives if report else ()))
         self._springs = np.zeros((self.nv, self.nv))  # 0 on the diagonal: not known
         if weight.stiffness is not None:
             self._springs = stiffness_matrix(model, weight.stiffness, self.drives, self.in_metres)
@@ -489,14 +489,17 @@ class Arm(ConfigurationSpace):
         """Joints that follow others and have no degree of freedom of their own."""
         return read_couplings(self.model)
 
-    @property
-    def drives(self) -> tuple[Drive, ...]:
-        """Joints that move on their own in the description, where a leader of this arm follows them.
+    @cached_property
+    def drives(self) -> DrivenJoints:
+        """The joints that the drives of the robot move, one for each degree of freedom, in this order.
 
-        The leader is the first of coupled joints from the base. A drive moves the joint that the description
-        lets move on its own; see `JointTrajectory.driven`.
+        They differ from `joint_names` where the first of coupled joints on the chain, which stands for all of
+        them, follows another joint in the description. They map positions, velocities and torques both ways.
         """
-        return self.report.drives if self.report else ()
+        behind = {each.leader: each for each in self.report.drives} if self.report else {}
+        joints = zip(self.joint_names, self.in_metres, strict=True)
+        own = [Drive(name, name, 1.0, 0.0, not slides) for name, slides in joints]
+        return DrivenJoints(behind.get(each.leader, each) for each in own)
 
     @property
     def columns(self) -> NDArray[np.intp]:
@@ -959,13 +962,10 @@ class Arm(ConfigurationSpace):
             column: the degree of freedom, an index into `joint_names`.
             torque: size of the torque or force along it [N m or N].
         """
-        name = self.joint_names[column]
+        drive = self.drives[column]
+        ratio = abs(drive.ratio)
         limit = float(self.effort[column])
-        for drive in self.drives:
-            if drive.leader == name:
-                ratio = abs(drive.ratio)
-                return JointLoad(drive.joint, torque / ratio, limit / ratio, not drive.turns)
-        return JointLoad(name, torque, limit, bool(self.in_metres[column]))
+        return JointLoad(drive.joint, torque / ratio, limit / ratio, not drive.turns)
 
     def held_out(self) -> HeldOut | None:
         """Return how far the arm can be held straight out, with gravity from the worst direction.

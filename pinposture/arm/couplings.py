@@ -8,19 +8,29 @@ joint the description names; the others are mimic joints.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_known
+from pinposture._validation import (
+    LARGEST_COORDINATE,
+    finite_array,
+    finite_vector,
+    is_number,
+    make_read_only,
+    require_instance,
+    require_known,
+)
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, Follows, JointDescription
-from pinposture.errors import InvalidValue, URDFError
+from pinposture.errors import InvalidValue, URDFError, enumerated
 
 Array = NDArray[np.float64]
 
@@ -42,11 +52,12 @@ class Coupling(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """A joint that moves on its own in a description, but that a leader of the arm stands for.
+    """A joint that a drive moves: it moves on its own in the description.
 
     Attributes:
         joint: name of the joint.
-        leader: name of the leader, which follows the joint in the description.
+        leader: the joint of the arm that moves with it: itself, or a joint that follows it in the description
+            and leads in the arm, because it is the first of the coupled joints on the chain.
         ratio: motion of the joint relative to that of the leader.
         offset: position of the joint when the leader is at zero [rad or m].
         turns: whether the joint is revolute.
@@ -57,6 +68,150 @@ class Drive(NamedTuple):
     ratio: float
     offset: float
     turns: bool
+
+
+class DrivenJoints(tuple[Drive, ...]):
+    """The joints that the drives of an arm move, one for each degree of freedom, in the order of these.
+
+    A configuration, a step `dq` and all that is computed from them speak of the degrees of freedom,
+    `Arm.joint_names`. What is exchanged with a robot, by name or in the order of `names`, speaks of the
+    joints that its drives move. The two differ only for coupled joints: there a driven joint is at its ratio
+    times the position of the degree of freedom, plus its offset.
+
+        positions = dict(zip(message.name, message.position))  # of a JointState
+        q = arm.configuration(arm.drives.joint_positions(positions))
+        arm.drives.positions(arm.positions(q))  # in the order of arm.drives.names
+    """
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints, (nv,)."""
+        return tuple(each.joint for each in self)
+
+    @cached_property
+    def ratios(self) -> Array:
+        """Motion of each joint per motion of its degree of freedom, (nv,), read-only."""
+        ratios = np.array([each.ratio for each in self])
+        make_read_only(ratios)
+        return ratios
+
+    @cached_property
+    def offsets(self) -> Array:
+        """Position of each joint when its degree of freedom is at zero, (nv,) [rad or m], read-only."""
+        offsets = np.array([each.offset for each in self])
+        make_read_only(offsets)
+        return offsets
+
+    def positions(self, joint_positions: ArrayLike) -> Array:
+        """Return the positions of the driven joints, (..., nv) [rad or m].
+
+        Args:
+            joint_positions: those of the degrees of freedom, (..., nv) [rad or m], as `Arm.positions` returns
+                them. Full turns are kept.
+
+        Raises:
+            InvalidValue: another shape, or not finite numbers.
+        """
+        return np.asarray(self._rows("joint_positions", joint_positions) * self.ratios + self.offsets)
+
+    def velocities(self, joint_velocities: ArrayLike) -> Array:
+        """Return the velocities of the driven joints, (..., nv); also for displacements and accelerations.
+
+        Args:
+            joint_velocities: those of the degrees of freedom, (..., nv), such as the step of a `Tracker`.
+
+        Raises:
+            InvalidValue: another shape, or not finite numbers.
+        """
+        return np.asarray(self._rows("joint_velocities", joint_velocities) * self.ratios)
+
+    def torques(self, joint_torques: ArrayLike) -> Array:
+        """Return the torques or forces of the drives, (..., nv) [N m or N], by virtual work.
+
+        Args:
+            joint_torques: those along the degrees of freedom, (..., nv) [N m or N].
+
+        Raises:
+            InvalidValue: another shape, or not finite numbers.
+        """
+        return np.asarray(self._rows("joint_torques", joint_torques) / self.ratios)
+
+    def joint_positions(self, positions: ArrayLike | Mapping[str, float]) -> Array:
+        """Return the positions of the degrees of freedom, (..., nv) [rad or m]; the inverse of `positions`.
+
+        Args:
+            positions: those of the driven joints, (..., nv) [rad or m]; or by name, as a JointState has them.
+                By name, other joints are ignored, and a joint of the arm can stand for the driven one.
+
+        Raises:
+            InvalidValue: another shape, a joint is missing, or not finite numbers.
+        """
+        if not isinstance(positions, Mapping):
+            return np.asarray((self._rows("positions", positions) - self.offsets) / self.ratios)
+        found = self.find(positions)
+        missing = [each.joint for column, each in enumerate(self) if column not in found]
+        if missing:
+            lacking = enumerated(list(map(repr, missing)), 6)
+            allowed = f"positions of all {len(self)} joints that drives move (missing: {lacking})"
+            raise InvalidValue("positions", list(positions), allowed)
+        return np.array([found[column] for column in range(len(self))])
+
+    def joint_velocities(self, velocities: ArrayLike) -> Array:
+        """Return the velocities along the degrees of freedom, (..., nv); the inverse of `velocities`."""
+        return np.asarray(self._rows("velocities", velocities) / self.ratios)
+
+    def joint_torques(self, torques: ArrayLike) -> Array:
+        """Return the torques along the degrees of freedom, (..., nv) [N m or N]; the inverse of `torques`."""
+        return np.asarray(self._rows("torques", torques) * self.ratios)
+
+    def find(self, positions: Mapping[str, float]) -> dict[int, float]:
+        """Return the positions of those degrees of freedom that are given by name.
+
+        Args:
+            positions: joint positions by name [rad or m]. Other joints are ignored. A joint of the arm can
+                stand for the driven one, which counts if both are given.
+
+        Returns:
+            Position of each degree of freedom [rad or m] by its index.
+
+        Raises:
+            InvalidValue: not a finite number.
+        """
+        require_instance("positions", positions, Mapping, "joint positions by the names of joints")
+        found: dict[int, float] = {}
+        for name, (column, ratio, offset) in self._by_name.items():
+            if name in positions:
+                position = positions[name]
+                if not (is_number(position) and abs(position) <= LARGEST_COORDINATE):
+                    allowed = f"a finite number of at most {LARGEST_COORDINATE:g} in size [rad or m]"
+                    raise InvalidValue(f"position of joint {name!r}", position, allowed)
+                found[column] = (float(position) - offset) / ratio
+        return found
+
+    def named(self, values: ArrayLike) -> dict[str, float]:
+        """Return values of the driven joints, (nv,), such as `Tracker.positions`, by the names of these.
+
+        Raises:
+            InvalidValue: another shape, or not finite numbers.
+        """
+        return dict(zip(self.names, finite_vector("values", values, len(self)).tolist(), strict=True))
+
+    @cached_property
+    def _by_name(self) -> dict[str, tuple[int, float, float]]:
+        """Degree of freedom, ratio and offset of each joint of the arm, then of each driven one, by name.
+
+        Joints with several degrees of freedom, off the chain of a model, are left out.
+        """
+        count = Counter(self.names)
+        single = [(column, each) for column, each in enumerate(self) if count[each.joint] == 1]
+        joints = {each.leader: (column, 1.0, 0.0) for column, each in single}
+        return joints | {each.joint: (column, each.ratio, each.offset) for column, each in single}
+
+    def _rows(self, name: str, values: ArrayLike) -> Array:
+        rows = finite_array(name, values)
+        if rows.shape[-1:] != (len(self),):
+            raise InvalidValue(f"{name} (shape)", rows.shape, f"(..., {len(self)}), one for each drive")
+        return rows
 
 
 class JointRange(NamedTuple):
@@ -74,7 +229,8 @@ class CoupledJoints(NamedTuple):
         moving: the joints that move, from base to tip.
         couplings: those of them that follow others.
         ranges: limits of each leader, by name, within which its followers keep their own limits.
-        drives: joints on the chain behind a leader, or off it, that the leader follows in the description.
+        drives: joints on the chain behind a leader, or off it, that the leader follows in the description;
+            none for leaders that move on their own.
     """
 
     moving: list[JointDescription]
@@ -199,6 +355,16 @@ def _follow(
         at = named[following.joint]
         seen.add(at.name)
     return Follows(at.name, ratio, offset)
+
+
+def coupled_turns(coupled: CoupledJoints) -> set[str]:
+    """Return the names of continuous joints that are coupled, or that a joint off the chain drives.
+
+    They count turns, because a ratio of positions has no meaning for angles modulo a turn.
+    """
+    names = {each.joint for each in coupled.couplings} | {each.leader for each in coupled.couplings}
+    names |= {each.leader for each in coupled.drives}
+    return {joint.name for joint in coupled.moving if joint.type == "continuous"} & names
 
 
 def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:

@@ -20,6 +20,7 @@ from pinposture.arm.couplings import (
     CoupledJoints,
     Drive,
     couple_joints,
+    coupled_turns,
     find_couplings,
     limit_leaders,
     with_couplings,
@@ -159,7 +160,7 @@ def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedMo
 
 def _chain_model(description: Description, coupled: CoupledJoints, locks: Mapping[str, float]) -> pin.Model:
     """Return the model of the moving joints of a chain, coupled and limited as described."""
-    whole = build_model(description.text, description.source, _coupled_turns(coupled))
+    whole = build_model(description.text, description.source, coupled_turns(coupled))
     model = _lock_others(whole, description, [joint.name for joint in coupled.moving], locks)
     _set_limits(model, coupled.moving)
     model = couple_joints(model, coupled)
@@ -269,15 +270,6 @@ def _moving_joints(
     if not coupled.moving:
         raise URDFError(description.source, f"chain from {base!r} to {tip!r}", _why_still(chain, locked))
     return coupled
-
-
-def _coupled_turns(coupled: CoupledJoints) -> set[str]:
-    """Return the names of coupled continuous joints.
-
-    They count turns, because a ratio of positions has no meaning for angles modulo a turn.
-    """
-    names = {each.joint for each in coupled.couplings} | {each.leader for each in coupled.couplings}
-    return {joint.name for joint in coupled.moving if joint.type == "continuous"} & names
 
 
 def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -> str:

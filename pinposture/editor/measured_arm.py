@@ -50,16 +50,14 @@ class JointStateLines:
     """Reads lines for an arm.
 
     Attributes:
-        columns: degree of freedom of each joint that has one, or whose drive moves one, by its name.
+        names: names of the joints that lines can hold: those that drives move, and all others of the arm.
     """
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self._all = np.arange(arm.nv)
-        joints = zip(list(arm.model.joints)[1:], list(arm.model.names)[1:], strict=True)
-        self.columns = {str(name): int(joint.idx_v) for joint, name in joints if joint.nv == 1}
-        self._drives = {each.joint: each for each in arm.drives}
-        self.columns |= {each.joint: self.columns[each.leader] for each in arm.drives}
+        coupled = [each.joint for each in arm.couplings]
+        self.names = tuple(dict.fromkeys([*arm.drives.names, *arm.joint_names, *coupled]))
 
     def read(self, line: bytes) -> JointPositions:
         """Read a line; other values of a message, velocities for instance, are ignored.
@@ -97,15 +95,9 @@ class JointStateLines:
         if positions == []:  # a message may hold velocities only
             names = []
         positions = _numbers("position", positions, len(names))
-        known = [name for name in names if name in self.columns]
-        columns = np.array([self.columns[name] for name in known], dtype=np.intp)
-        given = dict(zip(names, positions, strict=True))
-        own = np.array([self._of_leader(name, given[name]) for name in known])
-        return JointPositions(columns, own, tuple(name for name in names if name not in self.columns), stamp)
-
-    def _of_leader(self, name: str, position: float) -> float:
-        drive = self._drives.get(name)
-        return position if drive is None else (position - drive.offset) / drive.ratio
+        found = self._arm.drives.find(dict(zip(names, positions, strict=True)))
+        unknown = tuple(name for name in names if name not in self.names)
+        return JointPositions(np.array([*found], dtype=np.intp), np.array([*found.values()]), unknown, stamp)
 
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:
@@ -289,14 +281,15 @@ class Measured:
     refused: int  # number of malformed lines
     skipped: int  # number of lines without positions of this arm, or older than lines that came with them
     stamp: float | None  # time of the measurement, by the clock of the writer [s]; None if not given
-    unheard: tuple[str, ...]  # names of joints of the chain without a measurement
+    unheard: tuple[str, ...]  # names of joints that drives move without a measurement
 
 
 class JointStates:
     """Reads joint states as they come, and keeps the latest; close it, or use it in a `with`.
 
     Each line is an object of JSON: `{"name": ["j1", ...], "position": [...]}`, as in the JointState of ROS,
-    of some joints in any order; `{"position": [...]}` of all joints in the order of `Arm.joint_names`; or
+    of some joints that drives move (`Arm.drives`) in any order; `{"position": [...]}` of all joints in the
+    order of `Arm.joint_names`; or
     `{"q": [...]}`, a configuration. Joints that a line does not contain keep their position. `time` or
     `stamp` may give the time [s].
 
@@ -420,7 +413,7 @@ class JointStates:
         unknown = [name for name in read.unknown if name not in self._unknown]
         if unknown:
             self._unknown.update(unknown)
-            joints = f"{_listed(unknown)}; the arm has {_listed(tuple(self._lines.columns))}"
+            joints = f"{_listed(unknown)}; the arm has {_listed(self._lines.names)}"
             batch.complaint = batch.complaint or f"line {number} names unknown joints: {joints}"
         if not len(read.columns):
             batch.skipped += 1
@@ -452,8 +445,8 @@ class JointStates:
                 self._received = time.monotonic()
 
     def _unheard(self) -> tuple[str, ...]:
-        joints = zip(self.arm.chain.input_names, self.arm.columns, strict=True)
-        return tuple(name for name, column in joints if not self._heard[column])
+        names = self.arm.drives.names
+        return tuple(names[column] for column in self.arm.columns if not self._heard[column])
 
 
 class _Batch:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sized
+from collections.abc import Mapping, Sized
 from math import exp, isinf
 from typing import NamedTuple, cast
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.configurations import FULL_TURN
 from pinposture.errors import InvalidValue
 from pinposture.motion.drive_response import FOLLOW_TIME, DriveResponse
 from pinposture.placement import Target
@@ -55,12 +56,18 @@ class Measurement(NamedTuple):
     positions: Array | None
 
 
-def read_measurement(arm: Arm, given: ArrayLike) -> Measurement:
-    """Return a measurement from a configuration (nq,), or from joint positions (nv,) that count full turns.
+def read_measurement(arm: Arm, given: ArrayLike | Mapping[str, float]) -> Measurement:
+    """Return a measurement from a configuration (nq,), or from positions that count full turns.
+
+    Args:
+        arm: the arm.
+        given: a configuration; joint positions, (nv,) [rad or m]; or positions of driven joints by name.
 
     Raises:
-        InvalidValue: neither of them, or not finite.
+        InvalidValue: none of them, a driven joint is missing, or not finite.
     """
+    if isinstance(given, Mapping):
+        given = arm.drives.joint_positions(given)
     if counts_turns(arm, given):
         positions = finite_vector("q_measured", given, arm.nv)
         return Measurement(arm.configuration(positions), positions)
@@ -79,7 +86,7 @@ def without_noise_at_limits(arm: Arm, measured: Measurement) -> Measurement:
     return Measurement(arm.integrate(measured.q, change), counted)
 
 
-def read_start(arm: Arm, given: ArrayLike) -> Measurement:
+def read_start(arm: Arm, given: ArrayLike | Mapping[str, float]) -> Measurement:
     """Return a measurement from which an arm starts; as `read_measurement`, without noise at limits.
 
     A `PostureWarning` reports joints outside their limits by more than noise.
@@ -227,7 +234,9 @@ class Feedback:
             self.positions = self.positions + dq
             self._sent = self._sent + dq
 
-    def update(self, q: ArrayLike | None, points: ArrayLike | None, dt: float) -> FeedbackState:
+    def update(
+        self, q: ArrayLike | Mapping[str, float] | None, points: ArrayLike | None, dt: float
+    ) -> FeedbackState:
         """Process the measurements of a cycle; see `Tracker.step`.
 
         Raises:
@@ -255,7 +264,7 @@ class Feedback:
         if largest > self._max_difference and not self._is_confirmed(measured, dt):
             far = self._describe(joint, largest * arm.joint_units[joint])
             most = self._describe(joint, self._max_difference * arm.joint_units[joint])
-            reason = f"joint {arm.joint_names[joint]!r} is {far} from its expected position"
+            reason = f"joint {arm.drives.names[joint]!r} is {far} from its expected position"
             return FeedbackState(self.state, f"{reason}; at most {most} is fed back", largest)
         if self.restarted:
             difference = np.zeros(arm.nv)
@@ -292,9 +301,14 @@ class Feedback:
         return self._without_stopped(np.maximum(excess, 0.0))
 
     def _without_stopped(self, excess: Array) -> Array:
-        """Set the excess of joints that stand to zero if some are stopped: their leads are known."""
+        """Set the excess of joints that stand to zero if some are stopped: their leads are known.
+
+        That of one a turn away is not: the command goes back to the same posture, a turn from the joint.
+        """
         if self.response.stopped.any():
-            excess[self.response.history.standing > FOLLOW_TIME] = 0.0
+            leads = self.response.history.readings[0] - cast(Array, self.positions)
+            turned = self.arm.kinematics.endless & (np.abs(leads) > 0.5 * FULL_TURN)
+            excess[(self.response.history.standing > FOLLOW_TIME) & ~turned] = 0.0
         return excess
 
     def _hold(self, positions: Array) -> Target | None:
@@ -310,18 +324,18 @@ class Feedback:
         return self._held
 
     def _describe(self, joint: int, displacement: float) -> str:
-        return f"{abs(displacement):.3g} {'m' if self.arm.slides[joint] else 'rad'}"
+        """Return the displacement of a degree of freedom in words, as its drive counts it."""
+        drive = self.arm.drives[joint]
+        return f"{abs(drive.ratio * displacement):.3g} {'rad' if drive.turns else 'm'}"
 
     def _describe_stopped(self, positions: Array) -> str:
         """Say which joints do not follow their commands."""
         stopped = np.flatnonzero(self.response.stopped)
         joint = int(stopped[0])
         others = f", nor do {len(stopped) - 1} more" if len(stopped) > 1 else ""
-        name = self.arm.joint_names[joint]
-        unit = "m" if self.arm.slides[joint] else "rad"
-        text = (
-            f"joint {name!r} does not follow its command{others}: it stands at {positions[joint]:.4g} {unit}"
-        )
+        drive = self.arm.drives[joint]
+        stands = f"{drive.ratio * positions[joint] + drive.offset:.4g} {'rad' if drive.turns else 'm'}"
+        text = f"joint {drive.joint!r} does not follow its command{others}: it stands at {stands}"
         return f"{text}; its drive has stopped, or its encoder is frozen"
 
     def compensate(self, target: Target) -> Target:
@@ -378,12 +392,12 @@ class Feedback:
         if target.q is not None:
             off = arm.difference(target.q, arm.configuration(positions))
         joint = int(np.abs(off / arm.joint_units).argmax())
-        name = arm.joint_names[joint]
+        drive = arm.drives[joint]
         history = self.response.history
         most = self._max_difference * arm.joint_units[joint]
         edge = arm.limits.lower[joint] if off[joint] > 0.0 else arm.limits.upper[joint]
         if abs(command[joint] - edge) <= LIMIT_TOLERANCE * arm.joint_units[joint]:
-            why = f"its command is at the limit of the joint, {edge:.4g}"
+            why = f"its command is at the limit of the joint, {drive.ratio * edge + drive.offset:.4g}"
         elif abs(self._offset[joint]) >= (1.0 - LIMIT_TOLERANCE) * most:
             why = f"the compensation is at its limit (max_tracking_error), {self._describe(joint, most)}"
         elif isinf(self._time_constant):
@@ -392,7 +406,7 @@ class Feedback:
             why = f"its drive moves in steps of {self._describe(joint, history.steps[joint])}"
         else:
             why = "its drive does not move it yet"
-        return f"joint {name!r} stands {self._describe(joint, off[joint])} from its target: {why}"
+        return f"joint {drive.joint!r} stands {self._describe(joint, off[joint])} from its target: {why}"
 
     def _difference(self, measured: Measurement) -> Array:
         """Return measured minus commanded joint positions, (nv,); within half a turn if turns are unknown."""
@@ -471,11 +485,18 @@ class Feedback:
         self.restart(measured)
         return True
 
-    def _checked_configuration(self, q: ArrayLike | None) -> tuple[Measurement | None, str]:
+    def _checked_configuration(
+        self, q: ArrayLike | Mapping[str, float] | None
+    ) -> tuple[Measurement | None, str]:
         """Return a measurement; if it cannot be used, None and the reason."""
         if q is None:
             return None, "no measurement"
         arm = self.arm
+        if isinstance(q, Mapping):
+            try:
+                q = arm.drives.joint_positions(q)
+            except InvalidValue as error:
+                return None, str(error)
         if counts_turns(arm, q):
             given = float_array("q_measured", q, (arm.nv,))
         else:

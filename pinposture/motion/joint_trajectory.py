@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Sized
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import (
     finite_array,
-    finite_vector,
     make_read_only,
     require_instance,
     require_positive,
@@ -409,30 +408,27 @@ class JointTrajectory:
         )
 
     def driven(self, arm: Arm) -> JointTrajectory:
-        """Return the trajectory of the joints that drives move: those that follow none in the description.
-
-        These are the joints of the arm, but for `Arm.drives`, which are named in place of their leaders.
+        """Return the trajectory of the joints that drives move (`Arm.drives`), in this order.
 
         Raises:
             InvalidValue: as `matched`.
         """
-        led = self.matched(arm)
-        drives = {each.leader: each for each in arm.drives}
-        return led._followed([drives.get(each.joint, each) for each in _themselves(arm)])
+        return self.matched(arm)._followed(arm.drives)
 
     def matched(self, arm: Arm) -> JointTrajectory:
-        """Return the trajectory with the joints in the order of an arm, with their units.
+        """Return the trajectory of the degrees of freedom of an arm, `Arm.joint_names`, with their units.
 
-        Coupled joints, and joints of drives (`Arm.drives`), may be included, and are dropped. A drive may
-        stand for its leader.
+        Each is given itself, or by the joint that its drive moves (`Arm.drives`). Other coupled joints may be
+        included, and are dropped.
 
         Raises:
             InvalidValue: a joint of the arm is missing, there are others, a unit is wrong, or a coupled joint
                 violates its coupling.
         """
         require_instance("arm", arm, Arm, "an Arm")
-        drives = {each.leader: each for each in arm.drives if each.leader not in self.joint_names}
-        given = [drives.get(each.joint, each) for each in _themselves(arm)]
+        own = _themselves(arm)
+        pairs = zip(own, arm.drives, strict=True)
+        given = [joint if joint.joint in self.joint_names else drive for joint, drive in pairs]
         names = [each.joint for each in given]
         followers = {each.joint: each for each in (*_followers(arm), *arm.drives) if each.joint not in names}
         check_same_joints([name for name in self.joint_names if name not in followers], names)
@@ -444,8 +440,8 @@ class JointTrajectory:
                 )
         matched = self._followed(
             [
-                Drive(own.joint, each.joint, 1.0 / each.ratio, -each.offset / each.ratio, own.turns)
-                for own, each in zip(_themselves(arm), given, strict=True)
+                Drive(joint.joint, each.joint, 1.0 / each.ratio, -each.offset / each.ratio, joint.turns)
+                for joint, each in zip(own, given, strict=True)
             ]
         )
         for number, name in enumerate(self.joint_names):
@@ -471,21 +467,24 @@ class JointTrajectory:
             units=tuple(RADIAN if each.turns else METRE for each in joints),
         )
 
-    def starting_at(self, arm: Arm, positions: ArrayLike) -> JointTrajectory:
+    def starting_at(self, arm: Arm, positions: ArrayLike | Mapping[str, float]) -> JointTrajectory:
         """Return the same motion with continuous joints at the full turns at which a robot starts.
 
         Other joints stay: their positions already tell their turns.
 
         Args:
             arm: the arm; joints are matched by name.
-            positions: joint positions of the robot at the start, (nv,) [rad or m], as its drives count them.
+            positions: positions of the robot at the start, as its drives count them [rad or m]: in the order
+                of `Arm.drives`, (nv,), or by name.
 
         Raises:
             InvalidValue: a continuous joint is farther than half a radian from the first row, apart from full
                 turns; or the joints are not those of the arm.
         """
-        matched = self.driven(arm)
-        given = finite_vector("positions", positions, arm.nv)
+        matched = self.matched(arm)
+        given = arm.drives.joint_positions(positions)
+        if given.ndim != 1:
+            raise InvalidValue("positions (shape)", given.shape, f"({arm.nv},), or positions by name")
         first = matched.positions[0]
         turns = np.where(arm.kinematics.endless, np.rint((given - first) / FULL_TURN), 0.0)
         off = np.where(arm.kinematics.endless, np.abs(given - first - FULL_TURN * turns), 0.0)
@@ -495,7 +494,7 @@ class JointTrajectory:
                 f"{first[joint]:.4g} rad to within {START_TOLERANCE:g} rad, plus full turns: move there first"
             )
             raise InvalidValue(f"positions[{joint}]", float(given[joint]), allowed)
-        return replace(matched, positions=matched.positions + FULL_TURN * turns)
+        return replace(matched, positions=matched.positions + FULL_TURN * turns).driven(arm)
 
     def configurations(self, arm: Arm) -> Array:
         """Return the configurations of an arm, (N, nq); joints are matched by name, in any order.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import inf, isfinite
 from time import perf_counter
@@ -132,7 +133,8 @@ class Tracker:
     arm sags or lags, are fed back slowly: the command overshoots the target by as much as the arm falls
     short; for tasks of the controller, once the arm is steady. If the measured arm loses the margin to an
     obstacle, the command moves such that it regains it.
-    Send dq / dt to velocity-controlled drives; each step then starts at the measurement.
+    Send `arm.drives.velocities(dq) / dt` to velocity-controlled drives; each step then starts at the
+    measurement.
 
     The constructor makes what cycles need, so that none waits for it. It loads all compiled kernels: half a
     second for the first tracker in a process, and about a minute if they are not compiled yet (`pinposture
@@ -279,17 +281,18 @@ class Tracker:
 
     @property
     def positions(self) -> Array:
-        """The joint positions of `command`, to send to drives, (nv,) [rad or m].
+        """The positions to send to drives, in the order of `Arm.drives`, (nv,) [rad or m].
 
-        Continuous joints count full turns, so that no position jumps by a turn. They start at the measured
-        turns if positions are measured, and within +-pi if configurations are.
+        They are those of `command`, but continuous joints count full turns, so that no position jumps by a
+        turn. They start at the measured turns if positions are measured, and within +-pi if configurations
+        are.
 
         Raises:
             InvalidValue: before the first measurement.
         """
         if self._feedback.positions is None:
             raise InvalidValue("positions", None, "positions after the first measurement (see `step`)")
-        return np.array(self._feedback.positions)
+        return self.arm.drives.positions(self._feedback.positions)
 
     @property
     def target(self) -> Target | None:
@@ -340,11 +343,11 @@ class Tracker:
             apart = max(apart, np.abs(target.q - before.q).max())
         return bool(apart <= tolerances.SAME_TARGET)
 
-    def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
+    def restart(self, q_measured: ArrayLike | Mapping[str, float], dq: ArrayLike | None = None) -> None:
         """Restart from the measured configuration, keeping the target.
 
         Args:
-            q_measured: the measured configuration, (nq,), or joint positions as in `step`.
+            q_measured: the measured configuration, (nq,), or positions as in `step`.
             dq: its displacement in the last cycle, (nv,) [rad or m]; None if the arm is at rest.
 
         Raises:
@@ -362,7 +365,7 @@ class Tracker:
 
     def step(
         self,
-        q_measured: ArrayLike | None,
+        q_measured: ArrayLike | Mapping[str, float] | None,
         dt: float | None = None,
         points: ArrayLike | None = None,
         scene: Scene | None = None,
@@ -370,8 +373,10 @@ class Tracker:
         """Compute the step of a control cycle.
 
         Args:
-            q_measured: the measured configuration, (nq,); or the measured joint positions, (nv,) [rad or m],
-                in which continuous joints count full turns. None or not finite if it is missing.
+            q_measured: the measured positions of the joints that drives move (`Arm.drives`) by name, as in a
+                JointState; other joints are ignored, and continuous ones count full turns. Or the
+                configuration, (nq,), or its joint positions with full turns, (nv,) [rad or m]. None or not
+                finite if it is missing.
             dt: time since the previous cycle [s]; the nominal cycle time if None. A late cycle does not move
                 farther; a short one moves less.
             points: measured positions of the control points, (m, 3) [m], world frame, which replace those
@@ -382,7 +387,7 @@ class Tracker:
 
         Returns:
             The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide it by the cycle
-            time for the velocity.
+            time for the velocity. Drives of coupled joints move by `Arm.drives.velocities` of it.
 
         Raises:
             InvalidValue: an array of the wrong shape, a dt that is not positive, or a scene of the wrong

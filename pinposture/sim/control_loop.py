@@ -141,7 +141,7 @@ def simulate(
         scene = (motion.run if isinstance(motion, Trajectory) else motion).scene
     sampled = set_points(arm, motion, dt)
     held = np.repeat(sampled.positions[-1:], 1 + int(np.ceil(hold / sampled.dt - 1e-9)), axis=0)
-    rows = np.concatenate([sampled.positions, held])
+    rows = arm.drives.positions(np.concatenate([sampled.positions, held]))
     recording = Recording(Plant(build_plant_model(arm, servos, gravity), rows[0], sampled.dt))
     for number, row in enumerate(rows[1:], start=1):
         if not recording.advance(row):
@@ -201,7 +201,8 @@ def simulate_closed(
     at = (lambda _: targets) if isinstance(targets, Target) else targets
     if not callable(at):
         raise InvalidValue("targets", targets, "a Target, or a function of time [s] that returns one")
-    positions = arm.positions(start)
+    drives = arm.drives
+    positions = drives.positions(arm.positions(start))
     recording = Recording(Plant(build_plant_model(arm, servos, gravity), positions, dt), at(0.0))
     sensors = Sensors(Sensing() if sensing is None else sensing)
     cycles = max(1, int(np.ceil(duration / dt - 1e-9)))
@@ -213,9 +214,10 @@ def simulate_closed(
         arrived += measured is not None
         tracker.update(at((done - 1) * dt))
         if arrived:  # until the first measurement arrives, the servos hold the start
-            tracker.step(None if measured is None else arm.configuration(measured), dt)
+            q = None if measured is None else arm.configuration(drives.joint_positions(measured))
+            tracker.step(q, dt)
             following = arm.checked(tracker.command, "tracker.command")
-            positions = positions + arm.difference(command, following)
+            positions = positions + drives.velocities(arm.difference(command, following))
             command = following
         if not recording.advance(positions, at(done * dt)):
             break
@@ -242,7 +244,7 @@ class Recording:
         """Simulate and record a cycle; if the arm runs away, record nothing and return False.
 
         Args:
-            command: joint positions sent to the servos, (nv,) [rad or m].
+            command: positions sent to the servos, (nv,) [rad or m].
             target: target of the control points at the end of the cycle.
         """
         if not self.plant.advance(command):
@@ -258,8 +260,8 @@ class Recording:
         model = self.plant.model
         arm = self.plant.model.arm
         set_points, positions, torques = (np.array(column) for column in zip(*self._rows, strict=True))
-        commanded = np.array([arm.configuration(row) for row in set_points])
-        q = np.array([arm.configuration(row) for row in positions])
+        commanded = np.array([arm.configuration(row) for row in arm.drives.joint_positions(set_points)])
+        q = np.array([arm.configuration(row) for row in arm.drives.joint_positions(positions)])
         commanded_points = np.array([arm.at(row).points for row in commanded])
         points = np.array([arm.at(row).points for row in q])
         clearance = np.full(len(q), np.inf)

@@ -18,7 +18,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector, require_positive
-from pinposture.arm import Arm
+from pinposture.arm import Arm, Coupling
 from pinposture.arm.inertias import (
     DEFAULT_MASS,
     DEFAULT_RADIUS,
@@ -71,6 +71,8 @@ _Inertia = Annotated[
 class Servos(Declared):
     """Position servos: torque = stiffness (set point - position) - damping (velocity - its reference).
 
+    They are at the joints that drives move (`Arm.drives`).
+
     Stiffnesses are proportional to the inertias at the joints, and so large that no vibration mode of the
     whole arm is slower than `frequency`. If each joint were tuned to that frequency on its own, a long arm
     would be compliant: joints are springs in series, and the slowest mode of 40 joints has a quarter of that
@@ -80,12 +82,12 @@ class Servos(Declared):
         frequency: natural frequency of the slowest vibration mode of the arm [Hz]. Under gravity, the tip of
             any arm sags by about 9.81 / (2 pi frequency)^2 [m]: 2.5 mm at 10 Hz.
         damping: damping ratio of that mode; 1 is critical. Faster modes are damped more.
-        torque_limits: True for the effort limits of the arm, False for none, or one limit for all joints
+        torque_limits: True for the effort limits of the arm, False for none, or one limit for all servos
             [N m or N]. The limits of arms from templates are unknown, and infinite here.
         gravity_compensation: whether to add the torques that balance gravity, from the model of the arm.
         speed_reference: whether damping acts on the velocity relative to that of the set point, as in drives
             that receive positions and velocities; otherwise it acts on the velocity itself, and the arm lags.
-        armature: reflected rotor inertia, added to each joint [kg m^2 or kg].
+        armature: reflected rotor inertia, added to each joint that a servo moves [kg m^2 or kg].
         timestep: maximum physics step [s].
 
     Raises:
@@ -174,10 +176,10 @@ class PlantModel:
         gravity: gravitational acceleration, (3,) [m/s^2], world frame.
         model: the `mujoco.MjModel`, with the n joints of the arm and those held by servos, named as in the
             description.
-        columns: index of each degree of freedom of the arm among the n joints, (nv,).
+        columns: index of each driven joint (`Arm.drives`) among the n joints, (nv,).
         coupling: maps the motion of the i independent joints to that of all joints, (n, i).
         of_arm: columns of `coupling` that belong to the arm, (n, nv).
-        rest: joint positions with the arm at zero and the other joints as held, (n,) [rad or m].
+        rest: joint positions with driven joints at zero and the other joints as held, (n,) [rad or m].
         gains: stiffness and damping of the servos, (n,) each.
         torque_limits: torque or force limit of each servo, (n,) [N m or N]; infinite without a limit.
         warnings: messages about what was corrected or left out.
@@ -195,9 +197,9 @@ class PlantModel:
     torque_limits: Array
     warnings: tuple[str, ...]
 
-    def positions(self, of_arm: Array) -> Array:
-        """Return the positions of all joints, (n,), for joint positions of the arm, (nv,) [rad or m]."""
-        return np.asarray(self.rest + self.of_arm @ of_arm)
+    def positions(self, driven: Array) -> Array:
+        """Return the positions of all joints, (n,), for those of the driven joints, (nv,) [rad or m]."""
+        return np.asarray(self.rest + self.of_arm @ driven)
 
 
 def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | ArrayLike = True) -> PlantModel:
@@ -225,7 +227,9 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     complete, source = _complete_model(arm)
     add_masses(complete, arm.added)
     bodies, corrections = _rigid_bodies(complete)
-    if arm.couplings and np.any(complete.upperDryFrictionLimit > 0.0):
+    drives = arm.drives
+    followers = _followers(arm)
+    if followers and np.any(complete.upperDryFrictionLimit > 0.0):
         corrections = (*corrections, "dry friction of joints is ignored, because joints are coupled")
     for message in corrections:
         warn_caller(message)
@@ -246,11 +250,11 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         # Set here, because the type of these fields of MjSpec depends on the version of MuJoCo.
         model.dof_damping[dof] = complete.damping[joint.idx_v]
         model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]
-    columns = np.array([dofs[name] for name in arm.joint_names], dtype=np.intp)
-    effort[columns] = arm.effort
+    columns = np.array([dofs[name] for name in drives.names], dtype=np.intp)
+    effort[columns] = arm.effort / np.abs(drives.ratios)
     leading = np.ones(model.nv, dtype=np.bool_)
     coupling = np.eye(model.nv)
-    for each in arm.couplings:
+    for each in followers:
         leading[dofs[each.joint]] = False
         rest[dofs[each.joint]] = each.offset
         coupling[dofs[each.joint], dofs[each.leader]] = each.ratio
@@ -261,7 +265,7 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     matrices = []
     of_arm = coupling[:, np.searchsorted(np.flatnonzero(leading), columns)]
     for positions in _sample_positions(arm):
-        data.qpos[:] = rest + of_arm @ positions
+        data.qpos[:] = rest + of_arm @ drives.positions(positions)
         mujoco.mj_forward(model, data)
         _check_control_points(arm, positions, data.site_xpos[sites], source)
         matrices.append(coupling.T @ full_mass_matrix(model, data) @ coupling)
@@ -288,7 +292,7 @@ def mass_matrix(plant: PlantModel, positions: Array) -> Array:
     """Return the mass matrix of all joints, (n, n), for joint positions of the arm, (nv,) [rad or m]."""
     mujoco = load_mujoco()
     data = mujoco.MjData(plant.model)
-    data.qpos[:] = plant.positions(positions)
+    data.qpos[:] = plant.positions(plant.arm.drives.positions(positions))
     mujoco.mj_forward(plant.model, data)
     return full_mass_matrix(plant.model, data)
 
@@ -303,6 +307,19 @@ def full_mass_matrix(model: Any, data: Any) -> Array:
     for row, unit in zip(matrix, np.eye(model.nv), strict=True):
         mujoco.mj_mulM(model, data, row, unit)
     return matrix
+
+
+def _followers(arm: Arm) -> list[Coupling]:
+    """Return the joints of an arm that no drive moves, as they follow the joints that drives move."""
+    columns = {name: column for column, name in enumerate(arm.joint_names)}
+    led = [*(Coupling(name, name, 1.0, 0.0) for name in columns), *arm.couplings]
+    followers = []
+    for each in led:
+        drive = arm.drives[columns[each.leader]]
+        if each.joint != drive.joint:
+            ratio = each.ratio / drive.ratio
+            followers.append(Coupling(each.joint, drive.joint, ratio, each.offset - ratio * drive.offset))
+    return followers
 
 
 def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
@@ -373,8 +390,9 @@ def _specification(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
     added = [spec.worldbody.add_body(**_placement(arm.base_placement))]
-    followers = {each.joint for each in arm.couplings}
-    limits = dict(zip(arm.joint_names, np.transpose([arm.limits.lower, arm.limits.upper]), strict=True))
+    followers = {each.joint for each in _followers(arm)}
+    edges = np.sort([arm.drives.ratios * each + arm.drives.offsets for each in arm.limits[:2]], axis=0)
+    limits = dict(zip(arm.drives.names, edges.T, strict=True))
     for number, (joint, rigid) in enumerate(zip(list(model.joints)[1:], bodies, strict=True), start=1):
         xx, xy, yy, xz, yz, zz = rigid.inertia[np.tril_indices(3)]
         body = added[model.parents[number]].add_body(
@@ -391,13 +409,14 @@ def _specification(
         slides = bool(np.any(motion[:3]))
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
         axis = motion[:3] if slides else motion[3:]
-        moved = body.add_joint(name=name, type=kind, axis=axis, armature=servos.armature)
+        moved = body.add_joint(name=name, type=kind, axis=axis)
         interval = limits.get(name, (-np.inf, np.inf))
         if np.all(np.isfinite(interval)):
             moved.limited = mujoco.mjtLimited.mjLIMITED_TRUE
             moved.range = interval
         if name in followers:  # `Plant` moves it
             continue
+        moved.armature = servos.armature
         servo = spec.add_actuator(name=name, target=name)
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
         servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
@@ -431,7 +450,7 @@ def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]
     children = _links_after(model)
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     positions: dict[str, float] = {}
-    moving = {*arm.joint_names, *(each.joint for each in arm.couplings)}
+    moving = {*arm.drives.names, *arm.joint_names, *(each.joint for each in arm.couplings)}
     for frame in frames:
         if frame.type != pin.FrameType.JOINT or frame.name in moving:
             continue

@@ -40,6 +40,8 @@ TRIALS = 6  # maximum number of iterations on the set of saturated servos before
 class Plant:
     """A simulated arm with servos.
 
+    Positions, set points and torques are those of the joints that drives move, in the order of `Arm.drives`.
+
     Attributes:
         model: the model of the arm.
         dt: duration of a control cycle [s].
@@ -73,11 +75,11 @@ class Plant:
         self._data.qpos[:] = self._set_points
         self._mujoco.mj_forward(self._model, self._data)
         most = model.torque_limits
-        self._torques = np.clip(self._data.qfrc_gravcomp, -most, most)
+        self._torques = np.clip(self._compensation, -most, most)
 
     @property
     def positions(self) -> Array:
-        """Joint positions of the arm, (nv,) [rad or m]."""
+        """Positions of the joints that drives move, (nv,) [rad or m]."""
         return np.array(self._data.qpos[self.model.columns])
 
     @property
@@ -95,11 +97,18 @@ class Plant:
         """Fraction of physics steps in which each servo of the arm was saturated, (nv,)."""
         return self._saturated[self.model.columns] / max(self.cycles * self.substeps, 1)
 
+    @property
+    def _compensation(self) -> Array:
+        """Servo torques that compensate gravity, (n,) [N m or N]; zero where a joint follows another."""
+        compensation = np.zeros(self._model.nv)
+        compensation[np.sort(self._driven)] = self.model.coupling.T @ self._data.qfrc_gravcomp
+        return compensation
+
     def advance(self, command: Array) -> bool:
         """Simulate one control cycle; return False if the arm runs away, see `failure`.
 
         Args:
-            command: joint positions sent to the servos, (nv,) [rad or m].
+            command: positions sent to the servos, (nv,) [rad or m].
         """
         sent = self.model.positions(command)
         begin = self._set_points
@@ -131,7 +140,7 @@ class Plant:
         damping = self.model.gains.damping
         limits = self.model.torque_limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
-        compensation = np.array(data.qfrc_gravcomp)  # gravity compensation; it counts towards the limits
+        compensation = self._compensation  # it counts towards the limits
         spring = self.model.gains.stiffness * (set_point - state[0]) + damping * speed
         for trial in range(TRIALS):
             free = self._at_limit == 0.0
@@ -191,7 +200,7 @@ class Plant:
         lower, upper = self._model.jnt_range.T
         stopped = (self._model.jnt_limited != 0) & ((reached < lower) | (reached > upper))
         if np.any(stopped):
-            # Only leading joints have limits in the model; the joints that follow them stop, too.
+            # Only driven joints have limits in the model; the joints that follow them stop, too.
             keeps = ~np.any(coupling[stopped] != 0.0, axis=0)
             speeds = coupling[:, keeps] @ np.linalg.lstsq(coupling[:, keeps], speeds, rcond=None)[0]
             reached = data.qpos + step * speeds

@@ -61,7 +61,7 @@ class Simulation(Outcome):
         q: configurations of the arm, (N, nq).
         commanded_points: control points at `commanded`, (N, m, 3) [m], world frame.
         points: control points at `q`, (N, m, 3) [m], world frame.
-        torques: torques of the servos, (N, nv) [N m or N].
+        torques: torques of the servos, in the order of `Arm.drives`, (N, nv) [N m or N].
         torque_limits: torque limit of each servo, (nv,) [N m or N]; infinite without a limit.
         saturated: fraction of physics steps in which each servo was saturated, (nv,).
         clearance: smallest distance of the arm to an obstacle, or between its parts, (N,) [m]; negative for
@@ -188,11 +188,11 @@ class Simulation(Outcome):
                 "time": float(self.time[largest[0]]),
             },
             "target_error": None,
-            "largest_torque": self._largest_effort(~self.arm.slides, "N m"),
-            "largest_force": self._largest_effort(self.arm.slides, "N"),
+            "largest_torque": self._largest_effort(True, "N m"),
+            "largest_force": self._largest_effort(False, "N"),
             "largest_share_of_limit": self._largest_share(),
             "saturated_share": float(self.saturated.max(initial=0.0)),
-            "saturated_joints": [self.arm.joint_names[j] for j in np.flatnonzero(self.saturated > 0.0)],
+            "saturated_joints": [self.arm.drives.names[j] for j in np.flatnonzero(self.saturated > 0.0)],
             "measured_share": self.measured,
             "clearance": closest(self),
             "warnings": list(self.warnings),
@@ -218,8 +218,9 @@ class Simulation(Outcome):
             "end": float(errors[-1].max()),
         }
 
-    def _largest_effort(self, which: NDArray[np.bool_], unit: str) -> dict[str, Any] | None:
-        """Return the largest torque, or force, of the selected joints; None if none are selected."""
+    def _largest_effort(self, turning: bool, unit: str) -> dict[str, Any] | None:
+        """Return the largest torque of the drives that turn joints, or force of the others; None if none."""
+        which = np.array([each.turns == turning for each in self.arm.drives])
         if not np.any(which):
             return None
         sizes = np.where(which, np.abs(self.torques), -1.0)
@@ -233,14 +234,14 @@ class Simulation(Outcome):
         shares = np.abs(self.torques) / self.torque_limits
         row = int(shares.max(axis=1).argmax())
         column = int(shares[row].argmax())
-        unit = "N" if self.arm.slides[column] else "N m"
+        unit = "N m" if self.arm.drives[column].turns else "N"
         return {"share": float(shares[row, column]), **self._effort(row, column, unit)}
 
     def _effort(self, row: int, column: int, unit: str) -> dict[str, Any]:
         """Return the torque or force of a joint in a row."""
         limit = float(self.torque_limits[column])
         return {
-            "joint": self.arm.joint_names[column],
+            "joint": self.arm.drives.names[column],
             "value": float(self.torques[row, column]),
             "unit": unit,
             "limit": limit if np.isfinite(limit) else None,
@@ -304,4 +305,4 @@ def _check(simulation: Simulation) -> None:
         require_positive(name, given[name], zero=True)
 
 
-register(Format("pinposture-simulation", 3, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))
+register(Format("pinposture-simulation", 4, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))

@@ -245,8 +245,9 @@ class FoxgloveViewer(Viewer):
 
     def _joints(self, q: Any, stamp: int) -> Any:
         m = self._messages
-        named = zip(self.arm.joint_names, self.arm.positions(q).tolist(), strict=True)
-        joints = [m.JointState(name=name, position=position) for name, position in named]
+        drives = self.arm.drives
+        named = drives.named(drives.positions(self.arm.positions(q)))
+        joints = [m.JointState(name=name, position=position) for name, position in named.items()]
         return m.JointStates(timestamp=m.Timestamp(*divmod(stamp, 10**9)), joints=joints)
 
     def _draw(self, target: Target | None, scene: Scene | None, again: bool) -> Any:

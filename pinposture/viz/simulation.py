@@ -32,7 +32,8 @@ def plot_simulation(simulation: Simulation) -> Figure:
     figure = Figure(figsize=(palette.FIGURE_WIDTH, palette.FIGURE_HEIGHT), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
     _plot_joints(simulation, simulation.joint_error, panels[0])
-    palette.format_time_axes(panels[0], f"joint error [{_unit(simulation, 'rad', 'm')}]")
+    slides = simulation.arm.slides
+    palette.format_time_axes(panels[0], f"joint error [{_unit(simulation, slides, 'rad', 'm')}]")
     panels[0].set_ylim(bottom=0.0)
     _plot_point_errors(simulation, panels[1])
     _plot_torques(simulation, panels[2])
@@ -71,7 +72,8 @@ def _plot_torques(simulation: Simulation, ax: Axes) -> None:
     limited = np.isfinite(simulation.torque_limits)
     if not np.any(limited[simulation.arm.columns]):
         _plot_joints(simulation, simulation.torques, ax)
-        palette.format_time_axes(ax, f"torque [{_unit(simulation, 'N m', 'N')}]")
+        slides = np.array([not each.turns for each in simulation.arm.drives])
+        palette.format_time_axes(ax, f"torque [{_unit(simulation, slides, 'N m', 'N')}]")
         return
     shares = 100.0 * simulation.torques / simulation.torque_limits
     _plot_joints(simulation, shares, ax)
@@ -90,7 +92,7 @@ def _plot_joints(simulation: Simulation, values: NDArray[np.float64], ax: Axes) 
         ax.plot(simulation.time, values[:, column], color=colors(norm(number)), lw=1.0, marker=symbol, ms=3)
 
 
-def _unit(simulation: Simulation, turning: str, sliding: str) -> str:
-    slides = simulation.arm.slides[simulation.arm.columns]
-    units = ((turning, not slides.all()), (sliding, slides.any()))
+def _unit(simulation: Simulation, slides: NDArray[np.bool_], turning: str, sliding: str) -> str:
+    shown = slides[simulation.arm.columns]
+    units = ((turning, not shown.all()), (sliding, shown.any()))
     return " or ".join(unit for unit, used in units if used)

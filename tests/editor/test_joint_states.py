@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm.driven_arms import DRIVES, Robot, driven_arm
 from arms import template_arm
 from sampling import cases
 
 import pinposture as pp
 from pinposture.editor import measured_arm
 from pinposture.editor.measured_arm import MAX_LINES_READ, JointStateLines, JointStates
-from pinposture.errors import FileError, InvalidValue
+from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 
 @pytest.fixture(scope="session")
@@ -112,6 +113,27 @@ def test_all_three_kinds_of_lines_tell_the_same(arm, names, rng, path):
             latest = until(states, lambda now: now.count == 1)
             np.testing.assert_array_equal(latest.q, q)
     assert latest.stamp == 3.000000005
+
+
+def test_a_robot_with_coupled_joints_tells_where_its_drives_are(path):
+    with pytest.warns(PostureWarning, match="locked"):
+        driven = driven_arm()
+    robot = Robot(dict(zip(DRIVES, (0.2, -0.05, 8.0, 0.1, -0.3), strict=True)))
+    states = robot.states()
+    del states["gripper"]
+    with JointStates(driven, path) as heard, path.open("a") as file:
+        assert heard.latest.unheard == DRIVES
+        file.write(line([*states.values()], [*states]))  # the joints that follow are known, too
+        file.flush()
+        latest = until(heard, lambda now: now.count == 1)
+        assert (latest.complaint, latest.unheard) == ("", ())
+        np.testing.assert_allclose(driven.at(latest.q).points[-1], robot.tip(), atol=1e-12)
+        file.write(line([-0.1, 0.0], ["motor", "gripper"]))
+        file.flush()
+        latest = until(heard, lambda now: now.count == 2)
+        assert "unknown joints: 'gripper'" in latest.complaint
+        moved = Robot(robot.driven | {"motor": -0.1})
+        np.testing.assert_allclose(driven.at(latest.q).points[-1], moved.tip(), atol=1e-12)
 
 
 def test_joints_that_a_line_does_not_tell_of_keep_their_last_position(arm, names, path):

@@ -314,6 +314,25 @@ def test_a_drive_found_a_turn_away_is_commanded_from_there() -> None:
     np.testing.assert_array_equal(tracker.positions, -turned)
 
 
+def test_a_moving_drive_that_loses_a_turn_and_stands_is_commanded_from_there() -> None:
+    arm = endless_arm()
+    tracker = Tracker(arm, limits=LIMITS, resync_time=0.2)
+    tracker.update(Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 2.0))))
+    positions = np.zeros(arm.nv)
+    for _ in range(20):
+        positions = positions + tracker.step(positions)
+    lost = positions - [2.0 * np.pi, 0.0, 0.0, 0.0]
+    for cycle in range(100):
+        tracker.step(lost if cycle % 3 else None)  # and some measurements are missing
+    assert tracker.report.status != "converged"
+    assert np.abs(tracker.positions - lost).max() < 1.0
+    for _ in range(200):
+        tracker.step(lost)
+        lost = tracker.positions
+    assert tracker.report.status == "converged"
+    np.testing.assert_allclose(lost, [2.0 - 2.0 * np.pi, 2.0, 2.0, 2.0], atol=1e-6)
+
+
 @pytest.mark.soak
 def test_noise_does_not_plan_again_for_an_arm_with_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
     plans: list[object] = []

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm.driven_arms import DRIVES, Robot, driven_arm
 
 import pinposture as pp
-from pinposture.errors import InvalidValue, ViewerError
+from pinposture.errors import InvalidValue, PostureWarning, ViewerError
 from pinposture.viz import FoxgloveViewer, drawing
 from pinposture.viz.body import body_poses
 from pinposture.viz.foxglove import ADDRESS, BACKLOG
@@ -131,6 +132,16 @@ def test_links_are_where_pinocchio_places_them(arm: pp.Arm, watch: Any) -> None:
         expected = data.oMf[arm.model.getFrameId(name)].homogeneous
         np.testing.assert_allclose(matrix(each), expected, atol=1e-12)
     assert abs(found["time"] - time.time_ns()) < 60e9
+
+
+def test_joints_are_those_that_drives_move(watch: Any) -> None:
+    with pytest.warns(PostureWarning, match="locked"):
+        driven = driven_arm()
+    robot = Robot(dict(zip(DRIVES, (0.2, -0.05, 0.7, 0.1, -0.3), strict=True)))
+    viewer, client = watch(driven)
+    viewer.show(driven.configuration(driven.drives.joint_positions(robot.states())))
+    found = client.snapshot(lambda found: "/joint_states" in found)
+    assert positions(found["/joint_states"]) == pytest.approx(robot.driven)
 
 
 def test_links_may_have_the_names_of_the_world_and_of_drawings(arm: pp.Arm, watch: Any) -> None:
