@@ -29,6 +29,7 @@ SCRIPTS = (
     "coupled_joints",
     "drives",
     "editor",
+    "identification",
     "moving_obstacles",
     "obstacle_joints",
     "parameters",

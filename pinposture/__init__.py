@@ -54,7 +54,8 @@ if TYPE_CHECKING:
     from pinposture.control.reach import ReachedPosture, reach
     from pinposture.curve import Curve
     from pinposture.errors import PostureError, PostureWarning
-    from pinposture.motion import Batch, JointTrajectory, Run, Tracker, Trajectory, load, save
+    from pinposture.motion import Batch, JointTrajectory, Log, Run, Tracker, Trajectory, load, save
+    from pinposture.motion.identification import identify
     from pinposture.motion.track import track
     from pinposture.motion.track_many import track_many
     from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
@@ -92,6 +93,7 @@ __all__ = [
     "Keyframe",
     "Leader",
     "Limits",
+    "Log",
     "Mesh",
     "ModuleTemplate",
     "Phase",
@@ -120,6 +122,7 @@ __all__ = [
     "fit_points",
     "follow",
     "follow_leader",
+    "identify",
     "keyframe_reference",
     "load",
     "move_through",
@@ -177,9 +180,11 @@ _PACKAGES = {
     "motion": (
         "Batch",
         "JointTrajectory",
+        "Log",
         "Run",
         "Tracker",
         "Trajectory",
+        "identify",
         "load",
         "save",
         "track",

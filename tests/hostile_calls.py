@@ -58,6 +58,12 @@ def a_path() -> Any:
     return pp.plan(an_arm().at(an_arm().straight()), a_target())
 
 
+def a_log() -> pp.Log:
+    times = 0.05 * np.arange(60)
+    sent = 0.5 * np.sin(3.0 * times[:, None] + np.arange(6))
+    return pp.Log(times, sent, times, 0.9 * sent, an_arm().joint_names, 0.2 * sent, (0.0, 0.0, -9.81), 0.1)
+
+
 class FromPoints(NamedTuple):
     """A curve by its control points, so that they can be replaced."""
 
@@ -202,6 +208,14 @@ def examples() -> dict[str, Any]:
         "Keyframe.joints": (0.1,) * 6,
         "joint_names": ("a", "b"),
         "JointTrajectory.from_positions.positions": np.zeros((3, 2)),
+        "log": a_log(),
+        "command_time": a_log().command_time,
+        "commands": a_log().commands,
+        "Log.time": a_log().time,
+        "Log.positions": a_log().positions,
+        "Log.joint_names": an_arm().joint_names,
+        "Log.effort": a_log().effort,
+        "payload": 0.1,
         "JointTrajectory.from_configurations.q": np.zeros((3, 6)),
         "path_deviation.q": np.zeros((3, 6)),
         "path_deviation.start": np.zeros(6),
@@ -275,7 +289,7 @@ RESULTS = (
 ON_FILES = (
     *("load", "save", "save_html", "view", "animate", "plot", "plot_arm", "plot_comparison", "template"),
     *("Curve.load", "Curve.save", "Mesh.load", "Scan.load", "Scene.load", "Scene.save", "Task.load"),
-    *("Arm.from_dict", "Arm.from_spec", "Arm.from_model", "Curve.from_dict", "Scene.from_dict"),
+    *("Arm.from_dict", "Arm.from_spec", "Arm.from_model", "Curve.from_dict", "Scene.from_dict", "Log.read"),
 )
 """What reads and writes, which has tests of its own."""
 IN_LOOPS = (

@@ -21,6 +21,7 @@ from pinposture.cli import (
     edit,
     export,
     generate,
+    identify,
     inspect,
     reach,
     run,
@@ -257,6 +258,7 @@ VERBS: dict[str, Callable[..., None]] = {
     "view": view.run,
     "export": export.run,
     "simulate": simulate.run,
+    "identify": identify.run,
     "compile": compile.run,
 }
 for name, verb in VERBS.items():

@@ -38,7 +38,7 @@ _KERNELS = {
     ),
     "constrained_step": "minimise_with_rows",
     "continuous_collision": "smallest_distance_on_motions",
-    "joint_response": "watch_joints",
+    "joint_response": "follow_commands watch_joints",
     "kinematics": (
         "carry_screws gravity_torques jacobians joints_along motions_along move_frame placements trace_points"
     ),

@@ -1,8 +1,8 @@
-"""How joints respond to their commands: whether they stand, and at which lead they move."""
+"""How joints respond to their commands: whether they stand, at which lead they move, and where to."""
 
 from __future__ import annotations
 
-from math import sqrt
+from math import copysign, exp, sqrt
 
 from pinposture.kernels.arrays import Array1, Flags1, JointHistory
 from pinposture.kernels.compiled import compiled
@@ -92,3 +92,46 @@ def watch_joints(
                 overshoots[j] += 1.0
                 steps[j] = abs(error - errors[j])
             errors[j] = error
+
+
+@compiled
+def follow_commands(
+    sent_at: Array1,
+    sent: Array1,
+    times: Array1,
+    shift: Array1,
+    drive: Array1,
+    positions: Array1,
+) -> None:
+    """Compute where a drive moves a joint: lag * dq/dt = e - friction * sign(e), with e = c + shift - q.
+
+    Commands c are held until the next one arrives. In between, positions are exact.
+
+    Args:
+        sent_at: when commands were sent, not decreasing, (k,) [s], k >= 1.
+        sent: the commands, (k,) [rad or m].
+        times: times of the positions, not decreasing, (m,) [s].
+        shift: displacement by loads, (m,) [rad or m]; each holds from its time to the next.
+        drive: lag [s], delay [s], friction [rad or m].
+        positions: written, (m,) [rad or m]; the first one is the start.
+    """
+    lag = drive[0]
+    delay = drive[1]
+    friction = drive[2]
+    last = len(sent) - 1
+    arrived = 0
+    position = positions[0]
+    for i in range(1, len(times)):
+        now = times[i - 1]
+        while now < times[i]:
+            while arrived < last and sent_at[arrived + 1] + delay <= now:
+                arrived += 1
+            until = times[i]
+            if arrived < last:
+                until = min(until, sent_at[arrived + 1] + delay)
+            error = sent[arrived] + shift[i - 1] - position
+            if abs(error) > friction:
+                away = error - copysign(friction, error)
+                position += away * (1.0 - exp(-(until - now) / lag))
+            now = until
+        positions[i] = position

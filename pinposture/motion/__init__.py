@@ -2,8 +2,18 @@
 
 from pinposture.motion.actuators import Actuators, Tendon
 from pinposture.motion.batch import Batch
+from pinposture.motion.drive_model import DriveModel
 from pinposture.motion.files import load, save
+from pinposture.motion.identification import (
+    DriveEstimate,
+    Estimate,
+    Identification,
+    Prediction,
+    Timing,
+    identify,
+)
 from pinposture.motion.joint_trajectory import JointTrajectory
+from pinposture.motion.log import Log
 from pinposture.motion.ros import write_bag, write_goal
 from pinposture.motion.run import Run
 from pinposture.motion.track import track
@@ -14,12 +24,20 @@ from pinposture.motion.trajectory import Trajectory
 __all__ = [
     "Actuators",
     "Batch",
+    "DriveEstimate",
+    "DriveModel",
+    "Estimate",
+    "Identification",
     "JointTrajectory",
+    "Log",
+    "Prediction",
     "Report",
     "Run",
     "Tendon",
+    "Timing",
     "Tracker",
     "Trajectory",
+    "identify",
     "load",
     "save",
     "track",

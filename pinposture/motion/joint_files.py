@@ -1,4 +1,4 @@
-"""Tables of joint trajectories in CSV, and rates that files leave out."""
+"""Tables of joint trajectories and of logs in CSV, and rates that files leave out."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import isfinite, nan
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,3 +185,167 @@ def _number(path: Path, number: int, headings: Sequence[str], column: int, field
         where = f"line {number}, column {column + 1} ({headings[column]})"
         raise FileError(path, f"{where}: {field!r}; allowed: finite numbers")
     return value
+
+
+# Tables of logs: columns of any kinds in any order, the time of any clock, and numbers may be missing.
+
+MISSING = ("", "-", "nan", "null", "none")
+"""What stands for a missing number, in lower case."""
+
+_IGNORED = ("velocity", "acceleration")
+_COLUMN = re.compile(rf"(.+?)[ _.](position|command|effort|{'|'.join(_IGNORED)})(?: ?\[([^\[\]]*)\])?")
+_PLAIN = re.compile(r"(.+?)(?: ?\[([^\[\]]*)\])?")
+_CLOCK = re.compile(
+    r"(?:header[./_])?(?:stamp[./_])?(time|timestamp|stamp|t|dt|sec|secs|nanosec|nsec|nsecs)(?: ?\[(\w+)\])?",
+    re.IGNORECASE,
+)
+_TIME_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_UNITS_OF_KINDS = {"effort": (None, "", "N m", "Nm", "N"), "": (None, "", RADIAN, METRE, "deg")}
+
+
+class Columns(NamedTuple):
+    """What a table of a log has.
+
+    Attributes:
+        time: times of rows as `Log` takes them.
+        names: joints, in the order of their first columns.
+        tables: a column of numbers by kind and joint.
+        degrees: whether positions and commands are in degrees.
+        anonymous: whether the table names no joints; `names` are then numbers, or those that were given.
+    """
+
+    time: Array
+    names: tuple[str, ...]
+    tables: dict[tuple[str, str], Array]
+    degrees: bool = False
+    anonymous: bool = False
+
+    def table(self, kind: str, names: Sequence[str]) -> Array | None:
+        """Return the columns of joints of a kind, (N, n), NaN where one has none; None if all have none."""
+        if not any((kind, name) in self.tables for name in names):
+            return None
+        absent = np.full(len(self.time), nan)
+        return np.column_stack([self.tables.get((kind, name), absent) for name in names])
+
+
+def read_columns(path: Path, kind: str, joint_names: Sequence[str] = ()) -> Columns:
+    """Read a table of a log; see `Log.read`.
+
+    Args:
+        path: the file.
+        kind: what columns are that say nothing else: "position" or "command".
+        joint_names: names of the joints, if the table has no headings.
+
+    Raises:
+        FileError: the file is missing or not such a table; names the line, and the column if there is one.
+    """
+    lines = list(_lines(path))
+    if not lines:
+        raise FileError(path, "is empty; allowed: rows of numbers, with or without a line of headings")
+    number, headings = lines[0]
+    titled = any(_as_number(field) is None for field in headings)
+    rows = lines[1:] if titled else lines
+    if not rows:
+        raise FileError(path, "contains headings but no rows")
+    named = headings if titled else [f"column {k + 1}" for k in range(len(headings))]
+    texts = {k for k, field in enumerate(rows[0][1][: len(named)]) if _as_number(field) is None}
+    table = np.full((len(rows), len(named)), nan)
+    for row, (line, fields) in enumerate(rows):
+        if len(fields) != len(named):
+            raise FileError(
+                path, f"line {line}: {len(fields)} columns; allowed: {len(named)}, as in line {number}"
+            )
+        for k, field in enumerate(fields):
+            found = nan if k in texts else _as_number(field)
+            if found is None:
+                where = f"line {line}, column {k + 1} ({named[k]})"
+                raise FileError(path, f"{where}: {field!r}; allowed: numbers, or nothing")
+            table[row, k] = found
+    if titled:
+        return _titled_columns(path, named, table, kind)
+    return _untitled_columns(path, table, kind, joint_names)
+
+
+def _as_number(field: str) -> float | None:
+    """Return a number, NaN for a missing one; None for text."""
+    if field.lower() in MISSING:
+        return nan
+    try:
+        return float(field)
+    except ValueError:
+        return None
+
+
+def _titled_columns(path: Path, headings: Sequence[str], table: Array, usual: str) -> Columns:
+    clocks: dict[str, Array] = {}
+    tables: dict[tuple[str, str], Array] = {}
+    angles: set[bool] = set()
+    for k, heading in enumerate(headings):
+        where = f"column {k + 1} ({heading})"
+        clock = _CLOCK.fullmatch(heading)
+        if clock is not None:
+            if clock[2] not in _TIME_UNITS:
+                raise FileError(path, f"{where}: unit {clock[2]!r}; allowed: s, ms, us, ns")
+            clocks.setdefault(clock[1].lower(), _TIME_UNITS[clock[2]] * table[:, k])
+            continue
+        found = _COLUMN.fullmatch(heading)
+        joint, said, unit = found.groups() if found is not None else _plain(heading)
+        if said in _IGNORED:
+            continue
+        kind = usual if said in (None, "position") else said
+        units = _UNITS_OF_KINDS.get(kind, _UNITS_OF_KINDS[""])
+        if unit not in units:
+            raise FileError(path, f"{where}: unit {unit!r}; allowed: {', '.join(filter(None, units))}")
+        if (kind, joint) in tables:
+            raise FileError(path, f"{where}: another column is the {kind} of joint {joint!r}; allowed: once")
+        if kind != "effort" and unit in (RADIAN, "deg"):
+            angles.add(unit == "deg")
+        tables[kind, joint] = table[:, k]
+    if len(angles) == 2:
+        raise FileError(path, "has angles in degrees and in radians; allowed: one of them")
+    names = tuple(dict.fromkeys(joint for _, joint in tables))
+    return Columns(_clock(path, clocks), names, tables, angles == {True})
+
+
+def _plain(heading: str) -> tuple[str, None, str | None]:
+    """Return the joint that a heading names alone, and its unit."""
+    found = _PLAIN.fullmatch(heading)
+    return (heading, None, None) if found is None else (found[1], None, found[2])
+
+
+def _clock(path: Path, clocks: dict[str, Array]) -> Array:
+    """Return times from the columns that tell them."""
+    seconds = next((clocks[each] for each in ("sec", "secs") if each in clocks), None)
+    rest = next((clocks[each] for each in ("nanosec", "nsec", "nsecs") if each in clocks), None)
+    if seconds is not None:
+        return seconds if rest is None else np.column_stack([seconds, rest])
+    for name in ("time", "timestamp", "stamp", "t"):
+        if name in clocks:
+            return clocks[name]
+    if "dt" in clocks:
+        return np.concatenate([[0.0], np.cumsum(np.nan_to_num(clocks["dt"][1:]))])
+    raise FileError(path, "has no column for the time; allowed: time, stamp or t; sec and nanosec; or dt")
+
+
+def _untitled_columns(path: Path, table: Array, kind: str, joint_names: Sequence[str]) -> Columns:
+    """Return the columns of a table without headings: the time is the one that increases, first or last."""
+    last = table.shape[1] - 1
+    increasing = [k for k in sorted({0, last}) if _increases(table[:, k])]
+    if len(increasing) != 1 or last < 1:
+        said = "both increase" if len(increasing) == 2 else "neither increases"
+        raise FileError(
+            path, f"has no headings, and of its first and last column, one of which is the time, {said}"
+        )
+    columns = np.delete(table, increasing[0], axis=1)
+    count = columns.shape[1]
+    names = tuple(joint_names) or tuple(str(k) for k in range(count))
+    if len(names) != count:
+        raise FileError(path, f"has {count} columns beside the time; allowed: {len(names)}, as joint_names")
+    tables = {(kind, name): columns[:, k] for k, name in enumerate(names)}
+    return Columns(table[:, increasing[0]], names, tables, anonymous=True)
+
+
+def _increases(column: Array) -> bool:
+    """Return whether a column never decreases, and increases in most rows."""
+    steps = np.diff(column[np.isfinite(column)])
+    return bool(len(steps) and np.all(steps >= 0.0) and np.mean(steps > 0.0) > 0.5)

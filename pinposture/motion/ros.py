@@ -6,21 +6,22 @@ import json
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, count, pairwise
 from math import floor, nan
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pinposture._validation import is_number, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError, InvalidValue, did_you_mean
-from pinposture.motion.joint_files import with_computed_rates
+from pinposture.motion.joint_files import Columns, with_computed_rates
 from pinposture.motion.joint_trajectory import JointTrajectory, check_names
 from pinposture.storage import check_writable, parse_json, read_text, require_suffix, write_text
 
@@ -442,3 +443,119 @@ class _LinkTree:
                 yield carrier, name, placement
             else:
                 yield carrier, name, self._data.oMf[self._links[carrier][1]].actInv(placement)
+
+
+# Logs in bags.
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path is that of a ROS 2 bag, by its name or the metadata in a folder."""
+    return path.suffix.lower() in (".mcap", ".db3") or (path / "metadata.yaml").is_file()
+
+
+STATES = "/joint_states"
+"""Topic of measured joint positions."""
+
+
+def read_bag(path: Path, commands: str | None, joint_names: Sequence[str] = ()) -> tuple[Columns, Columns]:
+    """Return measurements and commands of a bag; see `Log.read`.
+
+    Times are the stamps of headers, or of reception where there are none.
+
+    Args:
+        path: the bag.
+        commands: topic of the commands.
+        joint_names: names of the joints of commands that have no names.
+
+    Raises:
+        FileError: the extra is missing, it cannot be read, or has not these topics.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise FileError(path, "bags need another package; pip install 'pinposture[ros]'") from None
+    if not path.exists():
+        raise FileError(path, "no such bag")
+    rows: dict[str, list[_Row]] = {STATES: []} if commands is None else {STATES: [], commands: []}
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            kinds = {each.topic: str(each.msgtype) for each in reader.connections}
+            for topic in rows:
+                if topic not in kinds:
+                    raise FileError(path, f"has no topic {topic!r}; allowed: {', '.join(kinds)}")
+                if kinds[topic] not in _LOGGED:
+                    allowed = ", ".join(_LOGGED)
+                    raise FileError(path, f"{topic!r} is of the type {kinds[topic]}; allowed: {allowed}")
+            wanted = [each for each in reader.connections if each.topic in rows]
+            for connection, received, content in reader.messages(connections=wanted):
+                message = reader.deserialize(content, connection.msgtype)
+                rows[connection.topic] += _LOGGED[str(connection.msgtype)](message, received, joint_names)
+    except FileError:
+        raise
+    except Exception as error:  # a damaged bag can raise anything
+        raise FileError(path, f"is not a bag that can be read ({type(error).__name__}: {error})") from error
+    if commands is None:
+        raise FileError(path, f"name the topic of the commands; it has {', '.join(kinds)}")
+    return _as_columns(path, STATES, rows[STATES], "position"), _as_columns(
+        path, commands, rows[commands], "command"
+    )
+
+
+class _Row(NamedTuple):
+    """A message of a log: its time [ns], joints, positions and efforts."""
+
+    time: int
+    names: tuple[str, ...]
+    positions: NDArray[np.float64]
+    effort: NDArray[np.float64]
+
+
+def _stamp(message: Any, received: int) -> int:
+    """Return the time of a message with a header [ns]; that of reception if its stamp is zero."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec) or received
+
+
+def _joint_state(message: Any, received: int, _: Sequence[str]) -> list[_Row]:
+    return [_Row(_stamp(message, received), tuple(message.name), message.position, message.effort)]
+
+
+def _joint_trajectory(message: Any, received: int, _: Sequence[str]) -> list[_Row]:
+    begin = _stamp(message, received)
+    names = tuple(message.joint_names)
+    rows = []
+    for point in message.points:
+        after = int(point.time_from_start.sec) * NANOSECONDS + int(point.time_from_start.nanosec)
+        rows.append(_Row(begin + after, names, point.positions, np.zeros(0)))
+    return rows
+
+
+def _numbers_alone(message: Any, received: int, names: Sequence[str]) -> list[_Row]:
+    given = tuple(names) or tuple(str(k) for k in range(len(message.data)))
+    return [_Row(received, given, message.data, np.zeros(0))]
+
+
+_LOGGED = {
+    "sensor_msgs/msg/JointState": _joint_state,
+    "trajectory_msgs/msg/JointTrajectory": _joint_trajectory,
+    "std_msgs/msg/Float64MultiArray": _numbers_alone,
+}
+"""Messages that a log is made of."""
+
+
+def _as_columns(path: Path, topic: str, rows: Sequence[_Row], kind: str) -> Columns:
+    """Return the rows of a topic, in the order of their times, as columns."""
+    known = [each for each in rows if len(each.names) and len(each.positions) == len(each.names)]
+    if not known:
+        raise FileError(path, f"has no positions on the topic {topic!r}")
+    ordered = sorted(known, key=lambda each: each.time)
+    names = tuple(dict.fromkeys(name for each in ordered for name in each.names))
+    tables: dict[tuple[str, str], NDArray[np.float64]] = {}
+    for number, each in enumerate(ordered):
+        for name, position in zip(each.names, each.positions, strict=True):
+            tables.setdefault((kind, name), np.full(len(ordered), nan))[number] = position
+        for name, effort in zip(each.names, each.effort, strict=False):
+            tables.setdefault(("effort", name), np.full(len(ordered), nan))[number] = effort
+    times = np.array([divmod(each.time, NANOSECONDS) for each in ordered], dtype=np.float64)
+    return Columns(times, names, tables)

@@ -287,9 +287,36 @@ def _shares(summary: Mapping[str, Any]) -> dict[str, str]:
     return words
 
 
+def _of_identification(summary: Mapping[str, Any]) -> dict[str, str]:
+    words = {}
+    for name in ("measurements", "commands"):
+        timing = summary[name]
+        period = 1e3 * timing["period"]
+        said = f"{timing['rows']} rows every {period:.4g} ms, jitter {1e3 * timing['jitter']:.2g} ms"
+        shares = {word: timing[word] for word in ("stale", "bursts", "missing") if timing[word]}
+        words[name] = ", ".join([said, *(f"{share:.1%} {word}" for word, share in shares.items())])
+    noise = list(summary["noise"].values())
+    if noise:
+        words["noise"] = f"{min(noise):.2g} to {max(noise):.2g} {summary['unit']}"
+    drives = summary["drives"]
+    for name, unit in summary["units"].items():
+        found = summary["payload"] if name == "payload" else drives[name.replace(" ", "_")]
+        told = "not identified"
+        if found is not None:
+            told = f"{found['value']:.4g} {unit} ({found['lower']:.4g} to {found['upper']:.4g})"
+        words[name] = told
+    if drives["explained"] is not None:
+        words["explained"] = (
+            f"{drives['explained']:.1%} of the variance in segments left out; the rest is "
+            f"{drives['rest']:.2g} {summary['unit']} (rms)"
+        )
+    return words
+
+
 _WORDS: Mapping[str, Callable[[Mapping[str, Any]], dict[str, str]]] = {
     "run": _of_run,
     "motion": _of_trajectory,
     "joint trajectory": _of_joints,
     "simulation": _of_simulation,
+    "identification": _of_identification,
 }

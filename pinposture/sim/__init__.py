@@ -1,6 +1,7 @@
 """Simulate an arm with masses, servos and gravity in MuJoCo; needs the extra `[sim]`."""
 
 from pinposture.arm.mjcf import MujocoMissing
+from pinposture.motion.drive_model import DriveModel
 from pinposture.sim.control_loop import (
     AnyMotion,
     SetPoints,
@@ -9,7 +10,7 @@ from pinposture.sim.control_loop import (
     simulate,
     simulate_closed,
 )
-from pinposture.sim.drives import DriveModel, Drives
+from pinposture.sim.drives import Drives
 from pinposture.sim.model import Gains, PlantModel, Servos, build_plant_model, mass_matrix
 from pinposture.sim.plant import Sensing, Sensors
 from pinposture.sim.simulation import Simulation

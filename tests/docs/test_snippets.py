@@ -28,6 +28,7 @@ PAGES = (
         "scenes.md",
         "reach.md",
         "weight.md",
+        "identification.md",
         "robot.md",
     ),
     "streaming.md",
