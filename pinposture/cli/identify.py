@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +28,9 @@ from pinposture.cli.output import (
 )
 from pinposture.storage import write_figure
 
+if TYPE_CHECKING:
+    from pinposture.motion import Log
+
 LOG = Panel("The log")
 
 
@@ -44,28 +48,7 @@ def run(
         typer.Argument(metavar="LOG", help="A table (.csv) of positions, or of both; or a ROS 2 bag."),
     ],
     arm_options: ArmOptions,
-    commands: Annotated[
-        str | None,
-        LOG("The table of commands, if LOG has only positions; of a bag, their topic.", "FILE|TOPIC"),
-    ] = None,
-    joints: Annotated[
-        str | None,
-        LOG("Joints of the columns of a table without headings; default: those of the arm.", "NAME,..."),
-    ] = None,
-    degrees: Annotated[bool, LOG("Angles are in degrees.", flags="--degrees")] = False,
-    gravity: Annotated[
-        str | None,
-        LOG("Gravity in the world frame of the arm, in m/s2: 0,0,-9.81. Default: unknown.", "X,Y,Z"),
-    ] = None,
-    carried: Annotated[
-        str | None,
-        LOG(
-            "What the arm carried at its tip, in kg or with a unit; 0 for nothing. Default: unknown.", "MASS"
-        ),
-    ] = None,
-    in_contact: Annotated[
-        bool, LOG("The arm touched something, such as the ground.", flags="--in-contact")
-    ] = False,
+    log_options: LogOptions,
     plot: Annotated[Path | None, OUTPUT("Save a PNG picture of the fit here.", "FILE")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -78,20 +61,10 @@ def run(
     If gravity is given, the masses of the arm tell stiffness and payload, too. Each number is followed by the
     interval that covers the truth in 95 of 100 cases. What the log cannot tell is named, with the reason.
     """
-    from pinposture.arm.weight import Mass
-    from pinposture.motion import Log, identify
+    from pinposture.motion import identify
 
     arm = arm_options.read(urdf)
-    names = () if joints is None else [name.strip() for name in joints.split(",")]
-    about = {"in_contact": in_contact} | ({"degrees": True} if degrees else {})
-    log = Log.read(
-        path,
-        commands,
-        names,
-        gravity=None if gravity is None else read_numbers("--gravity", gravity),
-        payload=read_option("--carried", carried, Mass),
-        **about,
-    )
+    log = log_options.read(path)
     result = identify(arm, log)
     if plot is not None:
         from pinposture.viz.identification import plot_identification
@@ -114,3 +87,51 @@ def run(
             print_note(f"not identified: {name}: {why}")
     if plot is not None:
         print_note(f"wrote {plot}")
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """What a log is, and what is known of the arm in it."""
+
+    commands: Annotated[
+        str | None,
+        LOG("The table of commands, if LOG has only positions; of a bag, their topic.", "FILE|TOPIC"),
+    ] = None
+    joints: Annotated[
+        str | None,
+        LOG("Joints of the columns of a table without headings; default: those of the arm.", "NAME,..."),
+    ] = None
+    degrees: Annotated[bool, LOG("Angles are in degrees.", flags="--degrees")] = False
+    gravity: Annotated[
+        str | None,
+        LOG("Gravity in the world frame of the arm, in m/s2: 0,0,-9.81. Default: unknown.", "X,Y,Z"),
+    ] = None
+    carried: Annotated[
+        str | None,
+        LOG(
+            "What the arm carried at its tip, in kg or with a unit; 0 for nothing. Default: unknown.", "MASS"
+        ),
+    ] = None
+    in_contact: Annotated[
+        bool, LOG("The arm touched something, such as the ground.", flags="--in-contact")
+    ] = False
+
+    def read(self, path: Path) -> Log:
+        """Return the log.
+
+        Raises:
+            PostureError: as `Log.read`; or an option that is no number.
+        """
+        from pinposture.arm.weight import Mass
+        from pinposture.motion import Log
+
+        names = () if self.joints is None else [name.strip() for name in self.joints.split(",")]
+        return Log.read(
+            path,
+            self.commands,
+            names,
+            gravity=None if self.gravity is None else read_numbers("--gravity", self.gravity),
+            payload=read_option("--carried", self.carried, Mass),
+            in_contact=self.in_contact,
+            **({"degrees": True} if self.degrees else {}),
+        )
