@@ -164,10 +164,11 @@ class Arm(ConfigurationSpace):
         self.added: tuple[Added, ...] = added_masses(weight, model, self.chain, self.control_points, self.tip)
         self._masses_checked = False
         self._effort_checked = False
-        self.effort = _read_only(effort_limits(model, weight, report.drives if report else ()))
+        drives = report.drives if report else ()
+        self.effort = _read_only(effort_limits(model, weight, drives))
         self._springs = np.zeros((self.nv, self.nv))  # 0 on the diagonal: not known
         if weight.stiffness is not None:
-            self._springs = stiffness_matrix(model, weight.stiffness, self.drives, self.in_metres)
+            self._springs = stiffness_matrix(model, weight.stiffness, drives, self.in_metres)
         self.model = model = weighted_model(model, weight, self.added)
         lower = self.limits.lower
         upper = self.limits.upper

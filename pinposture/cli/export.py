@@ -111,6 +111,13 @@ class TrajectoryOptions:
     coupled: Annotated[
         bool, OUTPUT("Also write the joints that follow others (<mimic>).", flags="--coupled")
     ] = False
+    compensate: Annotated[
+        bool,
+        OUTPUT(
+            "Write the commands for which the loaded arm makes the motion; the arm needs a stiffness.",
+            flags="--compensate",
+        ),
+    ] = False
     start: Annotated[
         str | None,
         OUTPUT(
@@ -133,9 +140,9 @@ class TrajectoryOptions:
         cycle = read_option("--dt", self.dt, Duration)
         if isinstance(kept, Trajectory):
             step_duration(cycle, kept.dt)  # rejects another duration
-            trajectory = kept.joint_trajectory(self.force)
+            trajectory = kept.joint_trajectory(self.force, self.compensate)
         else:
-            trajectory = kept.joint_trajectory(cycle, self.force)
+            trajectory = kept.joint_trajectory(cycle, self.force, self.compensate)
         if self.start is not None:
             trajectory = trajectory.starting_at(kept.arm, read_numbers("--start", self.start))
         return trajectory.with_coupled(kept.arm) if self.coupled else trajectory

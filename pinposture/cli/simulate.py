@@ -108,6 +108,7 @@ def run(
                 progress=progress,
                 scene=surroundings,
                 tolerance=settings.tolerance,
+                compensate=simulation_options.compensate,
             )
     files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
@@ -137,6 +138,13 @@ class SimulationOptions:
         MOTION(
             "Drive the arm by the streaming controller with feedback, rather than send it the motion.",
             flags="--closed",
+        ),
+    ] = False
+    compensate: Annotated[
+        bool,
+        MOTION(
+            "Send the commands for which the loaded arm makes the motion; the arm needs a stiffness.",
+            flags="--compensate",
         ),
     ] = False
     no_gravity: Annotated[bool, MOTION("Simulate without gravity.", flags="--no-gravity")] = False

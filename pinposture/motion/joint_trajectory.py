@@ -521,6 +521,31 @@ class JointTrajectory:
             raise InvalidValue("times (shape)", asked.shape, "one number, or (k,)")
         return interpolate_cubic(self.time, self.positions, self.velocities, asked)
 
+    def compensated(self, arm: Arm) -> JointTrajectory:
+        """Return the commands for which the loaded arm makes this motion: `Arm.compensate` of each row.
+
+        Velocities and accelerations change by those of the difference, from and to rest.
+
+        Args:
+            arm: the arm, with masses and `Arm.stiffness`; its joints are matched by name.
+
+        Raises:
+            NoEquilibrium: a posture that is not stable; names the joint that gives way.
+            WeightUnknown: masses or a stiffness that are not known.
+            InvalidValue: joints of another arm, or a joint whose command would be outside its limits.
+        """
+        moved = self.matched(arm)
+        rows = np.array([arm.configuration(row) for row in moved.positions])
+        commands = arm.compensate(rows)
+        change = np.array([arm.difference(*pair) for pair in zip(rows, commands, strict=True)])
+        velocities, accelerations = compute_rates(moved.time, change)
+        return replace(
+            moved,
+            positions=moved.positions + change,
+            velocities=moved.velocities + velocities,
+            accelerations=moved.accelerations + accelerations,
+        )
+
     def sampled(self, dt: float) -> JointTrajectory:
         """Return the trajectory resampled at equidistant times, for a player with another cycle time.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
@@ -591,24 +591,47 @@ class Run(Outcome):
             "moved": None if target.moved is None else target.moved._asdict(),
         }
 
-    def joint_trajectory(self, dt: float | None = None, force: bool = False) -> JointTrajectory:
+    def joint_trajectory(
+        self, dt: float | None = None, force: bool = False, compensate: bool = False
+    ) -> JointTrajectory:
         """Return the run as a joint trajectory for export.
 
         Args:
             dt: duration of a step [s]; that of the limits if None.
             force: True to return it despite its `faults`.
+            compensate: True for the commands for which the loaded arm makes this run: `Arm.compensate`.
 
         Raises:
-            MotionError: it has faults.
+            MotionError: it has faults, or these commands exceed its limits.
             InvalidValue: neither `dt` nor the limits give a duration, or they differ.
+            PostureError: as `Arm.compensate`.
         """
         step = step_duration(dt, self.limits.dt)
-        require_no_faults(self, force)
-        return JointTrajectory.from_configurations(self.arm, self.q, step)
+        rows = rows_to_send(self, force, compensate)
+        return JointTrajectory.from_configurations(self.arm, rows, step)
 
     def __repr__(self) -> str:
         texts = [length_text(error, self.arm.length) for error in self.mean_error[[0, -1]]]
         return f"Run({self.status}, {self.steps} steps, mean point error {' -> '.join(texts)})"
+
+
+def rows_to_send(run: Run, force: bool, compensate: bool) -> Array:
+    """Return the configurations to send to drives, (N, nq); see `Run.joint_trajectory`.
+
+    Raises:
+        MotionError: the run has faults, or the commands against sag exceed its limits, without `force`.
+        PostureError: as `Arm.compensate`.
+    """
+    require_instance("compensate", compensate, bool, "True or False")
+    require_no_faults(run, force)
+    if not compensate:
+        return run.q
+    commands = run.arm.compensate(run.q)
+    violation = find_limit_violation(replace(run, q=commands))
+    if violation is not None and not force:
+        advice = f"plan with limits that are lower by a factor of {violation.ratio:.4g}"
+        raise MotionError([f"of the commands against sag, {violation.text}; {advice}"])
+    return commands
 
 
 # The arrays of a run, for files and batches.

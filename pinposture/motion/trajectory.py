@@ -22,7 +22,7 @@ from pinposture.motion.run import (
     holding_torque,
     joint_shares,
     largest_shares,
-    require_no_faults,
+    rows_to_send,
 )
 from pinposture.placement.target import Moved
 
@@ -279,19 +279,21 @@ class Trajectory:
         load = self.arm.at(self.q[place.row]).most_loaded()
         return str(load) if load is not None and load.exceeded else None
 
-    def joint_trajectory(self, force: bool = False) -> JointTrajectory:
+    def joint_trajectory(self, force: bool = False, compensate: bool = False) -> JointTrajectory:
         """Return the motion as a joint trajectory for export, with one cycle of rest before and after.
 
         Players fit splines to the rows, which without rest would start and stop harder than the limits allow.
 
         Args:
             force: True to return it despite its `faults`.
+            compensate: as in `Run.joint_trajectory`.
 
         Raises:
-            MotionError: it has faults.
+            MotionError: it has faults, or commands against sag exceed its limits.
+            PostureError: as `Arm.compensate`.
         """
-        require_no_faults(self.run, force)
-        rows = np.concatenate([self.q[:1], self.q, self.q[-1:]])
+        sent = rows_to_send(self.run, force, compensate)
+        rows = np.concatenate([sent[:1], sent, sent[-1:]])
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
 
     def __repr__(self) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
@@ -64,6 +64,12 @@ def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoint
     Raises:
         InvalidValue: the motion does not fit the arm, or its sampling period is unknown.
     """
+    timed = _timed(arm, motion, dt)
+    return SetPoints(timed.positions, float(np.diff(timed.time).mean()))
+
+
+def _timed(arm: Arm, motion: AnyMotion, dt: float | None) -> JointTrajectory:
+    """Return a motion of an arm, sampled at a fixed period, as `set_points`."""
     if isinstance(motion, Trajectory | Run):
         run = motion.run if isinstance(motion, Trajectory) else motion
         timed = run.joint_trajectory(dt, force=True)
@@ -79,8 +85,7 @@ def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoint
         raise InvalidValue("motion (rows)", len(timed.time), "at least two")
     if np.ptp(periods) > UNIFORM * periods.max():
         timed = timed.sampled(float(np.median(periods)))
-        periods = np.diff(timed.time)
-    return SetPoints(timed.positions, float(periods.mean()))
+    return timed
 
 
 class StreamingController(Protocol):
@@ -107,6 +112,7 @@ def simulate(
     progress: Progress | None = None,
     scene: Scene | None = None,
     tolerance: float | None = None,
+    compensate: bool = False,
 ) -> Simulation:
     """Send a motion to the servos of an arm (open loop).
 
@@ -124,6 +130,9 @@ def simulate(
         scene: obstacles for the clearance of the arm; None: those of the run or motion.
         tolerance: mean distance of the control points from the last posture that counts as arrived [m];
             None: 1 % of the arm length. On the way five times as much is allowed, at least 5 % of the length.
+        compensate: whether the servos are sent the commands for which the loaded arm makes the motion
+            (`Arm.compensate`). The arm then starts as it is held, and the postures of the motion are its
+            targets: it arrives at the last of them.
 
     Returns:
         The recorded motion. Its status is "converged" if the arm is within the tolerance at the end,
@@ -133,18 +142,33 @@ def simulate(
         InvalidValue: the arm cannot be simulated, or the motion does not fit it.
         MujocoMissing: MuJoCo is not installed.
         URDFError: the description of the arm cannot be simulated.
+        PostureError: with `compensate`, as `JointTrajectory.compensated`.
     """
     require_positive("hold", hold, zero=True)
+    require_instance("compensate", compensate, bool, "True or False")
+    if compensate and servos is not None and servos.gravity_compensation:
+        raise InvalidValue("compensate", True, "False with servos that compensate gravity by torques")
     if tolerance is not None:
         require_positive("tolerance", tolerance)
     if scene is None and isinstance(motion, Run | Trajectory):
         scene = (motion.run if isinstance(motion, Trajectory) else motion).scene
-    sampled = set_points(arm, motion, dt)
-    held = np.repeat(sampled.positions[-1:], 1 + int(np.ceil(hold / sampled.dt - 1e-9)), axis=0)
-    rows = arm.drives.positions(np.concatenate([sampled.positions, held]))
-    recording = Recording(Plant(build_plant_model(arm, servos, gravity), rows[0], sampled.dt))
-    for number, row in enumerate(rows[1:], start=1):
-        if not recording.advance(row):
+    timed = _timed(arm, motion, dt)
+    period = float(np.diff(timed.time).mean())
+    held = 1 + int(np.ceil(hold / period - 1e-9))
+    asked = np.pad(timed.positions, ((0, held), (0, 0)), mode="edge")
+    sent = asked
+    targets: list[Target | None] = [None] * len(asked)
+    if compensate:
+        sent = np.pad(timed.compensated(arm).positions, ((0, held), (0, 0)), mode="edge")
+        # As the set points, which are halfway between two rows at the end of a cycle.
+        between = np.concatenate([asked[:1], (asked[1:] + asked[:-1]) / 2.0])
+        targets = [Target.from_configuration(arm, arm.configuration(row)) for row in between]
+    rows = arm.drives.positions(sent)
+    model = build_plant_model(arm, servos, gravity)
+    plant = Plant(model, arm.drives.positions(asked[0]), period, rows[0])
+    recording = Recording(plant, targets[0])
+    for number, (row, target) in enumerate(zip(rows[1:], targets[1:], strict=True), start=1):
+        if not recording.advance(row, target):
             break
         if progress is not None:
             progress(number, len(rows) - 1)

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, Coupling
@@ -30,7 +31,7 @@ from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.mjcf import load_mujoco
 from pinposture.arm.model_builder import build_model
 from pinposture.arm.urdf_reader import load_text, text_for_pinocchio
-from pinposture.arm.weight import NOTHING, REMEDY, add_masses, effort_limits
+from pinposture.arm.weight import NOTHING, REMEDY, add_masses, effort_limits, scaled
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
 from pinposture.schema import CheckedBy, Declared, Flag, checked_number, declared, quantity
@@ -40,18 +41,23 @@ Array = NDArray[np.float64]
 
 UNBOUNDED = 1e30  # represents an infinite bound in the quadratic program
 LARGEST_SETTING = 1e5  # of servos, other than torques; no gain overflows
+USUAL_FREQUENCY = 10.0  # of servos of an arm whose stiffness is not known [Hz]
 
 
 class Gains(NamedTuple):
     """Gains of the servos.
 
     Attributes:
-        stiffness: torque per unit of position error, (n,) [N m/rad or N/m].
+        stiffness: torque per unit of position error, (n,) [N m/rad or N/m]; or (n, n), of tendons.
         damping: torque per unit of velocity, (n,) [N m s/rad or N s/m].
     """
 
     stiffness: Array
     damping: Array
+
+    def springs(self, errors: Array) -> Array:
+        """Return the torques for position errors, (n,) each."""
+        return np.asarray(self.stiffness @ errors if self.stiffness.ndim == 2 else self.stiffness * errors)
 
 
 def _torque_limits(name: str, value: Any) -> bool | float:
@@ -80,7 +86,8 @@ class Servos(Declared):
 
     Attributes:
         frequency: natural frequency of the slowest vibration mode of the arm [Hz]. Under gravity, the tip of
-            any arm sags by about 9.81 / (2 pi frequency)^2 [m]: 2.5 mm at 10 Hz.
+            any arm sags by about 9.81 / (2 pi frequency)^2 [m]: 2.5 mm at 10 Hz. None: that which follows
+            from `Arm.stiffness`, then the stiffness of the servos; 10 Hz if the arm has none.
         damping: damping ratio of that mode; 1 is critical. Faster modes are damped more.
         torque_limits: True for the effort limits of the arm, False for none, or one limit for all servos
             [N m or N]. The limits of arms from templates are unknown, and infinite here.
@@ -94,7 +101,7 @@ class Servos(Declared):
         InvalidValue: a value is not positive (armature: negative), or one but a torque is above 1e5.
     """
 
-    frequency: _Setting = 10.0
+    frequency: _Setting | None = None
     damping: _Setting = 1.0
     torque_limits: Annotated[bool | float, CheckedBy(_torque_limits)] = True
     gravity_compensation: Flag = False
@@ -126,9 +133,27 @@ class Servos(Declared):
         # The squared frequencies of M x'' = -c diag(carried) x are c over the eigenvalues of `relative`.
         relative = matrices * scale[:, None] * scale[None, :]
         slowest = float(np.linalg.eigvalsh(relative)[:, -1].max())
-        turning = 2.0 * np.pi * self.frequency
+        turning = 2.0 * np.pi * (USUAL_FREQUENCY if self.frequency is None else self.frequency)
         stiffness = np.maximum(turning**2 * slowest * carried, least)
         return Gains(stiffness, 2.0 * self.damping / turning * stiffness)
+
+    def stiffness(self, arm: Arm) -> Array:
+        """Return the stiffness that these servos give an arm, for `Arm.with_stiffness`.
+
+        It depends on all masses of the arm, its payload included.
+
+        Returns:
+            Torque or force per displacement, (nv,) [N m/rad or N/m]; (nv, nv) if that of the arm is used, and
+            tendons couple its joints.
+
+        Raises:
+            PostureError: as `build_plant_model`.
+        """
+        plant = build_plant_model(arm, self)
+        ratios = arm.drives.ratios
+        if plant.gains.stiffness.ndim == 2:
+            return scaled(plant.gains.stiffness[np.ix_(plant.columns, plant.columns)], ratios)
+        return np.asarray(plant.gains.stiffness[plant.columns] * ratios**2)
 
 
 def torques_within_limits(
@@ -272,7 +297,8 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
     units = np.where(slides, arm.characteristic_length, 1.0)
     least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
-    gains = servos.gains(matrices, np.abs(coupling).T @ least)
+    own = np.searchsorted(np.flatnonzero(leading), columns)
+    servos, gains = _tuned(servos, arm, matrices, np.abs(coupling).T @ least, own)
     return PlantModel(
         arm=arm,
         servos=servos,
@@ -285,6 +311,35 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         gains=Gains(*(_spread(values, leading) for values in gains)),
         torque_limits=servos.limits(effort),
         warnings=corrections,
+    )
+
+
+def _tuned(
+    servos: Servos, arm: Arm, matrices: list[Array], least: Array, own: NDArray[np.intp]
+) -> tuple[Servos, Gains]:
+    """Return servos with their frequency, and their gains at the i independent joints.
+
+    Args:
+        servos: the servos.
+        arm: the arm.
+        matrices: mass matrices, (i, i) each.
+        least: minimum stiffness of each joint if it follows from the frequency, (i,) [N m/rad or N/m].
+        own: the joints that drives of the arm move among the independent ones, (nv,).
+    """
+    if servos.frequency is not None or arm.weight.stiffness is None:
+        tuned = servos if servos.frequency is not None else replace(servos, frequency=USUAL_FREQUENCY)
+        return tuned, tuned.gains(matrices, least)
+    springs = scaled(arm.stiffness, 1.0 / arm.drives.ratios)
+    slowest = min(float(eigh(springs, each[np.ix_(own, own)], eigvals_only=True)[0]) for each in matrices)
+    tuned = replace(servos, frequency=math.sqrt(slowest) / (2.0 * math.pi))
+    others = tuned.gains(matrices, least)  # of joints that the arm does not move
+    stiffness = np.diag(others.stiffness)
+    stiffness[np.ix_(own, own)] = springs
+    damping = others.damping
+    damping[own] = 2.0 * servos.damping / math.sqrt(slowest) * np.diagonal(springs)
+    diagonal = np.diagonal(stiffness)
+    return tuned, Gains(
+        diagonal.copy() if np.array_equal(np.diag(diagonal), stiffness) else stiffness, damping
     )
 
 
@@ -428,9 +483,9 @@ def _specification(
 
 
 def _spread(values: Array, where: NDArray[np.bool_]) -> Array:
-    """Return values where the mask is True, and zeros elsewhere."""
-    spread = np.zeros(len(where))
-    spread[where] = values
+    """Return values, (i,) or (i, i), at the i joints where the mask is True, and zeros elsewhere."""
+    spread = np.zeros((len(where),) * values.ndim)
+    spread[np.ix_(*(where,) * values.ndim)] = values
     return spread
 
 

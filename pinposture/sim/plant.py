@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from copy import copy
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,15 @@ class Plant:
         failure: why the simulation cannot continue; "" if it can.
     """
 
-    def __init__(self, model: PlantModel, start: Array, dt: float) -> None:
+    def __init__(self, model: PlantModel, start: Array, dt: float, set_points: Array | None = None) -> None:
+        """Place an arm at rest.
+
+        Args:
+            model: the model of the arm.
+            start: positions of its driven joints, (nv,) [rad or m].
+            dt: duration of a control cycle [s].
+            set_points: those of its servos, (nv,) [rad or m]; where the arm is if None.
+        """
         require_positive("dt", dt)
         self._mujoco = load_mujoco()
         self.model = model
@@ -69,10 +77,10 @@ class Plant:
         self._coupled = len(model.coupling) > len(model.coupling.T)
         self._at_limit = np.zeros(self._model.nv)  # 1 or -1 where a servo is saturated
         self._saturated = np.zeros(self._model.nv, dtype=np.intp)  # number of saturated physics steps
-        self._sent = model.positions(start)
+        self._sent = model.positions(start if set_points is None else set_points)
         self._set_points = self._sent.copy()
         self._speed = np.zeros(len(self._sent))  # of the set points
-        self._data.qpos[:] = self._set_points
+        self._data.qpos[:] = model.positions(start)
         self._mujoco.mj_forward(self._model, self._data)
         most = model.torque_limits
         self._torques = np.clip(self._compensation, -most, most)
@@ -141,7 +149,7 @@ class Plant:
         limits = self.model.torque_limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
         compensation = self._compensation  # it counts towards the limits
-        spring = self.model.gains.stiffness * (set_point - state[0]) + damping * speed
+        spring = self.model.gains.springs(set_point - state[0]) + damping * speed
         for trial in range(TRIALS):
             free = self._at_limit == 0.0
             limiting = self._at_limit * np.where(free, 0.0, limits)  # no infinity times 0
@@ -235,10 +243,11 @@ def _too_coarse(servos: Servos, timestep: float) -> str:
     Damping is integrated implicitly, stiffness explicitly. A mode that is fast relative to the step h follows
     x' = (1 - h omega / (2 zeta)) x, which is stable for h < 4 zeta / omega.
     """
-    longest = 2.0 * servos.damping / (np.pi * servos.frequency)
+    frequency = cast(float, servos.frequency)  # that of a plant is known
+    longest = 2.0 * servos.damping / (np.pi * frequency)
     if timestep <= longest:
         return ""
-    return f"servos of {servos.frequency:g} Hz need physics steps below {longest:.3g} s to be stable"
+    return f"servos of {frequency:g} Hz need physics steps below {longest:.3g} s to be stable"
 
 
 @declared()

@@ -66,8 +66,9 @@ class Simulation(Outcome):
         saturated: fraction of physics steps in which each servo was saturated, (nv,).
         clearance: smallest distance of the arm to an obstacle, or between its parts, (N,) [m]; negative for
             penetration, infinite without a scene. The simulation has no contacts.
-        targets: targets of the control points, (N, m, 3) [m], world frame; None in open loop.
-        weights: 1 for each control point with a target, otherwise 0, (N, m); None in open loop.
+        targets: targets of the control points, (N, m, 3) [m], world frame; None in open loop, unless sag is
+            compensated.
+        weights: 1 for each control point with a target, otherwise 0, (N, m); None as `targets`.
         measured: fraction of cycles in which a measurement arrived; 1 in open loop.
         warnings: messages about corrected inertias of the description.
         scene: the obstacles for `clearance`, or None.
@@ -119,15 +120,17 @@ class Simulation(Outcome):
 
         The limits of the motion are not checked, because servos slightly overshoot them.
         """
-        mean = self.point_errors.mean(axis=1)
+        errors = self.point_errors
+        if self.loop == "open" and self.target_errors is not None:
+            errors = self.target_errors
+        mean = errors.mean(axis=1)
         row = int(mean.argmax())
         allowed = PATH_RATIO * max(self.tolerance, END_TOLERANCE * self.arm.length)
         if not self.converged or mean[row] <= allowed:
             return None
-        time, point = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
+        time, point = np.unravel_index(int(errors.argmax()), errors.shape)
         farthest = (
-            f"{self.arm.control_points[int(point)]} was {length_text(self.point_errors[time, point])} "
-            "off its path"
+            f"{self.arm.control_points[int(point)]} was {length_text(errors[time, point])} off its path"
         )
         text = (
             f"{farthest} at {self.time[time]:.4g} s (mean of all points up to {length_text(mean[row])}, "

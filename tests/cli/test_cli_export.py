@@ -224,3 +224,20 @@ def test_a_motion_starts_at_the_turns_at_which_the_robot_stands(command, tmp_pat
         result = command("export", file, "-o", tmp_path / "wrong.csv", f"--start={wrong}")
         assert result.code == 2
         assert words in result.err
+
+
+def test_commands_against_sag_are_written_for_an_arm_with_a_stiffness(command, timed_run, tmp_path) -> None:
+    run = pp.load(timed_run, pp.Run)
+    arm = run.arm.with_stiffness(60.0)
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
+    elastic = pp.track(
+        arm, pp.Target.from_configuration(arm, np.full(arm.nv, 0.17)), arm.neutral(), limits=limits
+    )
+    saved = pp.save(elastic, tmp_path / "run.npz")
+    file = tmp_path / "joints.npz"
+    assert command("export", saved, "--compensate", "--force", "-o", file).code == 0
+    sent = pp.load(file, JointTrajectory)
+    np.testing.assert_allclose(arm.sag(sent.positions), elastic.q, atol=1e-9)
+    refused = command("export", timed_run, "--compensate", "-o", file)
+    assert refused.code == 2
+    assert "the stiffnesses of joints" in refused.err

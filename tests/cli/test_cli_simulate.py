@@ -119,3 +119,16 @@ def test_without_mujoco_one_line_says_how_to_get_it(command, timed_run, monkeypa
     assert result.code == 2
     assert result.err.count("\n") == 1
     assert "pip install 'pinposture[sim]'" in result.err
+
+
+@pytest.mark.long
+def test_an_arm_that_sags_is_sent_commands_against_it(command, timed_run, tmp_path) -> None:
+    run = pp.load(timed_run / "run.npz", pp.Run)
+    arm = run.arm.with_stiffness(3.0)
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.1))
+    soft = pp.track(arm, target, arm.neutral(), limits=pp.Limits(dt=0.02, acceleration=2.0))
+    saved = pp.save(soft, tmp_path / "run.npz")
+    told = [json.loads(command("simulate", saved, *more, "--json").out) for more in ([], ["--compensate"])]
+    assert told[0]["mean_point_error"]["end"] > 10.0 * told[1]["target_error"]["end"]
+    assert told[1]["status"] == "converged"
+    assert "stiffness" in command("simulate", timed_run, "--compensate").err
