@@ -288,16 +288,15 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     sites = np.array([model.site(f"point_{k}").id for k in range(arm.n_modules)], dtype=np.intp)
     data = mujoco.MjData(model)
     matrices = []
-    of_arm = coupling[:, np.searchsorted(np.flatnonzero(leading), columns)]
+    own = np.searchsorted(np.flatnonzero(leading), columns)
+    of_arm = coupling[:, own]
     for positions in _sample_positions(arm):
         data.qpos[:] = rest + of_arm @ drives.positions(positions)
         mujoco.mj_forward(model, data)
         _check_control_points(arm, positions, data.site_xpos[sites], source)
         matrices.append(coupling.T @ full_mass_matrix(model, data) @ coupling)
-    slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
-    units = np.where(slides, arm.characteristic_length, 1.0)
+    units = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, arm.characteristic_length, 1.0)
     least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
-    own = np.searchsorted(np.flatnonzero(leading), columns)
     servos, gains = _tuned(servos, arm, matrices, np.abs(coupling).T @ least, own)
     return PlantModel(
         arm=arm,
