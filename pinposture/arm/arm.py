@@ -35,6 +35,7 @@ from pinposture.arm.configurations import (
     plausible_positions,
 )
 from pinposture.arm.couplings import Coupling, Drive, DrivenJoints, joint_axes, read_couplings
+from pinposture.arm.dynamics import Dynamics
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
@@ -978,7 +979,7 @@ class Arm(ConfigurationSpace):
         if not self.torques_known or np.any(np.isinf(self.effort[columns])):
             return None
         state = self.chain_at(self.straight())
-        held = np.array([self.kinematics.gravity_torques(state.raw_positions, g) for g in np.eye(3)])
+        held = np.array([self.dynamics.gravity_torques(state.raw_positions, g) for g in np.eye(3)])
         held = held.T[columns]
         size = float(np.linalg.norm(self.model.gravity.linear))
         torques = size * np.linalg.norm(held, axis=1)
@@ -1137,7 +1138,7 @@ class Arm(ConfigurationSpace):
         return command
 
     def inverse_dynamics(self, q: ArrayLike, velocities: ArrayLike, accelerations: ArrayLike) -> Array:
-        """Compute the torques and forces with which the motors move the arm, by Pinocchio.
+        """Compute the torques and forces with which the motors move the arm.
 
         With what the arm carries and the armature of the description, without friction. Of coupled joints it
         is the torque along the leader, by virtual work.
@@ -1151,20 +1152,36 @@ class Arm(ConfigurationSpace):
             Array (k, nv) [N m or N].
 
         Raises:
-            InvalidValue: arrays of other shapes or not finite, or an arm of over 100 degrees of freedom.
+            InvalidValue: arrays of other shapes or not finite, or an arm of over 100 degrees of freedom with
+                a joint off its chain that neither turns about one axis nor slides along one.
             WeightUnknown: masses that are not known; names the links.
             URDFError: an impossible mass or inertia in the description; names the link.
         """
         at = finite_array("q", q, (None, self.nq))
-        for configuration in () if self._flat else at:  # continuous joints need a cosine and a sine
-            self.checked(configuration, "q")
         shape = (len(at), self.nv)
         moving = finite_array("velocities", velocities, shape)
         changing = finite_array("accelerations", accelerations, shape)
-        if self.frames is None:
-            raise InvalidValue("degrees of freedom", self.nv, f"at most {MAX_PINOCCHIO_DOF} for dynamics")
         self.require_masses()
-        return self.frames.inverse_dynamics(at, moving, changing)
+        if not self.dynamics.whole:
+            return self._frames_for_dynamics.inverse_dynamics(at, moving, changing)
+        positions = at if self._flat else np.array([self.positions(row) for row in at]).reshape(shape)
+        return self.dynamics.inverse_dynamics(positions, moving, changing)
+
+    @property
+    def _frames_for_dynamics(self) -> FrameReader:
+        """Pinocchio's dynamics, for joints that no pass knows."""
+        if self.frames is None:
+            allowed = (
+                f"at most {MAX_PINOCCHIO_DOF} degrees of freedom, as joints off the chain neither turn about "
+                "one axis nor slide along one"
+            )
+            raise InvalidValue("arm", self, allowed)
+        return self.frames
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Its joints and the bodies that they carry, as arrays for kernels."""
+        return Dynamics(self.model, self.chain.joints)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Arm.from_dict, (self.to_dict(),)
@@ -1544,15 +1561,12 @@ class ChainState(ArmState):
         return weighing.gravity_gradient(at)
 
     @property
-    def _weighing(self) -> tuple[Kinematics | FrameReader, Array]:
-        """What computes torques, and where: the pass along the chain, unless joints off it move, too."""
+    def _weighing(self) -> tuple[Dynamics | FrameReader, Array]:
+        """What computes torques, and where: a compiled pass, unless it does not know a joint."""
         arm = self.arm
-        if len(arm.columns) == arm.nv:
-            return arm.kinematics, self.raw_positions
-        if arm.frames is None:
-            allowed = f"an arm of at most {MAX_PINOCCHIO_DOF} DOF, or one without moving joints off its chain"
-            raise InvalidValue("arm", arm, allowed)
-        return arm.frames, self._q
+        if arm.dynamics.whole:
+            return arm.dynamics, self.raw_positions
+        return arm._frames_for_dynamics, self._q
 
 
 def arm_of(state: object) -> Arm:

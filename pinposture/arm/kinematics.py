@@ -608,69 +608,6 @@ class Kinematics:
         kernels.jacobians(joints, ends, forward.axes, forward.origins, forward.points, jacobians)
         return jacobians
 
-    def gravity_torques(self, positions: Array, gravity: Array | None = None) -> Array:
-        """Compute the torques and forces that balance gravity at joint positions (nv,), (nv,) [N m or N].
-
-        The weight of joints off the chain is not counted.
-
-        Args:
-            positions: the joint positions, (nv,) [rad or m].
-            gravity: gravitational acceleration, world frame, (3,) [m/s^2]; that of the model if None.
-        """
-        chain, masses, usual = self._weights
-        gravity = usual if gravity is None else gravity
-        axes, origins, centers = self._bodies(positions)
-        torques = np.zeros(len(self.endless))
-        kernels.gravity_torques(chain.joints, axes, origins, centers, masses, gravity, torques)
-        return torques
-
-    def _bodies(self, positions: Array) -> tuple[Array, Array, Array]:
-        """Return the axes and origins of the joints, and the centres of mass after each, (k, 3) each."""
-        chain, masses, _ = self._weights
-        k = len(masses)
-        axes = np.empty((k, 3))
-        origins = np.empty((k, 3))
-        centers = np.empty((k, 3))
-        kernels.placements(chain, positions, axes, origins, centers, np.empty((k, 3, 3)))
-        return axes, origins, centers
-
-    def gravity_gradient(self, positions: Array) -> Array:
-        """Compute the change of the torques of `gravity_torques` per joint motion, (nv, nv), symmetric.
-
-        A joint has the torque -g . s: if it turns, s is its axis times the first moment of what it carries,
-        else its axis times their mass. A joint before it with axis a turns s, which gives -g . (a x s).
-        """
-        chain, masses, gravity = self._weights
-        axes, origins, centers = self._bodies(positions)
-        near = origins[0]  # no digits are lost far from the origin
-        carried = np.cumsum(masses[::-1])[::-1, None]
-        moments = np.cumsum((masses[:, None] * (centers - near))[::-1], axis=0)[::-1]
-        turns = (chain.joints.kinds == TURNS)[:, None]
-        moved = np.where(turns, np.cross(axes, moments - carried * (origins - near)), carried * axes)
-        pulls = np.where(turns, np.cross(gravity, axes), 0.0)
-        below = np.tril(-moved @ pulls.T)
-        of_joints = below + np.tril(below, -1).T
-        freedom = np.zeros((len(masses), len(self.endless)))
-        freedom[np.arange(len(masses)), chain.joints.columns] = chain.joints.ratios
-        return np.asarray(freedom.T @ of_joints @ freedom)
-
-    @cached_property
-    def _weights(self) -> tuple[ArmArrays, Array, Array]:
-        """The chain with centres of mass in place of control points, (k,) masses, and gravity, (3,)."""
-        placements = neutral_placements(self._model)
-        joints = [self._model.getJointId(name) for name in self.chain.joints]
-        bodies = [self._model.inertias[joint] for joint in joints]
-        k = len(bodies)
-        chain = self.constants._replace(
-            ends=np.arange(1, k + 1, dtype=np.int64),
-            levers=np.array(
-                [placements[joint].rotation @ body.lever for joint, body in zip(joints, bodies, strict=True)]
-            ),
-            turns=np.repeat(np.eye(3)[None], k, axis=0),
-        )
-        masses = np.array([body.mass for body in bodies])
-        return chain, masses, np.array(self._model.gravity.linear)
-
     @cached_property
     def task_constants(self) -> TaskConstants:
         """The constants of joint screws and of task rows."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # for checkers and editors
     from pinposture.kernels.collision import *
     from pinposture.kernels.constrained_step import *
     from pinposture.kernels.continuous_collision import *
+    from pinposture.kernels.dynamics import *
     from pinposture.kernels.joint_response import *
     from pinposture.kernels.kinematics import *
     from pinposture.kernels.manipulability import *
@@ -38,16 +39,15 @@ _KERNELS = {
     ),
     "constrained_step": "minimise_with_rows",
     "continuous_collision": "smallest_distance_on_motions",
+    "dynamics": "gravity_gradient gravity_torques inverse_dynamics path_torques",
     "joint_response": "follow_commands watch_joints",
-    "kinematics": (
-        "carry_screws gravity_torques jacobians joints_along motions_along move_frame placements trace_points"
-    ),
+    "kinematics": ("carry_screws jacobians joints_along motions_along move_frame placements trace_points"),
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
     ),
     "modules": "module_crossings module_faces module_forward module_inverse neighbours place_modules",
     "path_following": (
-        "advance find_speed_profile joint_distance look_ahead next_path_speed "
+        "advance fill_torque_rows find_speed_profile joint_distance look_ahead next_path_speed "
         "path_offset position_excess shorten_step smooth_offsets spline_slopes step_along step_box "
         "step_on_profile step_to stoppable_steps sum_point_errors"
     ),

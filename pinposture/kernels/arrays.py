@@ -116,6 +116,24 @@ class Joints(NamedTuple):
     ratios: Array1
 
 
+class Bodies(NamedTuple):
+    """What k joints carry, each in the frame of its joint, and what else their torques depend on.
+
+    Attributes:
+        masses: mass of each body, (k,).
+        centers: its centre of mass, (k, 3).
+        inertias: its moments of inertia about that, xx, yy, zz, xy, xz, yz, (k, 6).
+        armature: inertia of each drive, along its degree of freedom, (nv,).
+        gravity: gravitational acceleration, (3,).
+    """
+
+    masses: Array1
+    centers: Array2
+    inertias: Array2
+    armature: Array1
+    gravity: Array1
+
+
 class ArmArrays(NamedTuple):
     """A chain of k joints with n degrees of freedom and m control points.
 
@@ -254,6 +272,20 @@ class ProfileRows(NamedTuple):
     b: Array3
     c: Array3
     limit: Array1
+
+
+class TorqueSamples(NamedTuple):
+    """Torques a u + b x + c at places on a path, of a path acceleration u and a squared path speed x.
+
+    Attributes:
+        a: torques per path acceleration, (s, nv).
+        b: torques per squared path speed, (s, nv).
+        c: torques at rest, (s, nv) [N m or N].
+    """
+
+    a: Array2
+    b: Array2
+    c: Array2
 
 
 class TimedPathArrays(NamedTuple):

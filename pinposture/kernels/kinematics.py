@@ -228,54 +228,6 @@ def placements(
 
 
 @compiled
-def gravity_torques(
-    joints: Joints,
-    joint_axes: Array2,
-    joint_origins: Array2,
-    centers: Array2,
-    masses: Array1,
-    gravity: Array1,
-    filled: Array1,
-) -> None:
-    """Compute the torques and forces of the degrees of freedom that balance gravity.
-
-    Args:
-        joints: the joints of the chain.
-        joint_axes: joint axes, world frame, (k, 3).
-        joint_origins: origins of the joints, (k, 3).
-        centers: centre of mass of the body after each joint, (k, 3).
-        masses: mass of each body, (k,).
-        gravity: gravitational acceleration, (3,).
-        filled: zeros, filled with the torques, (nv,).
-    """
-    mass = 0.0
-    x = 0.0  # sum of mass times vector from the joint, exact far from the origin too
-    y = 0.0
-    z = 0.0
-    last = len(masses) - 1
-    for u in range(last, -1, -1):
-        o = joint_origins[u]
-        if u < last:
-            x += mass * (joint_origins[u + 1, 0] - o[0])
-            y += mass * (joint_origins[u + 1, 1] - o[1])
-            z += mass * (joint_origins[u + 1, 2] - o[2])
-        mass += masses[u]
-        x += masses[u] * (centers[u, 0] - o[0])
-        y += masses[u] * (centers[u, 1] - o[1])
-        z += masses[u] * (centers[u, 2] - o[2])
-        a = joint_axes[u]
-        if joints.kinds[u] == SLIDES:
-            along = mass * (a[0] * gravity[0] + a[1] * gravity[1] + a[2] * gravity[2])
-        else:
-            along = (
-                a[0] * (y * gravity[2] - z * gravity[1])
-                + a[1] * (z * gravity[0] - x * gravity[2])
-                + a[2] * (x * gravity[1] - y * gravity[0])
-            )
-        filled[joints.columns[u]] -= joints.ratios[u] * along
-
-
-@compiled
 def trace_points(chain: ArmArrays, positions: Array2, points: Array3) -> None:
     """Compute the control points at several configurations.
 

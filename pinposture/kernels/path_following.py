@@ -19,6 +19,7 @@ from pinposture.kernels.arrays import (
     ProfileRows,
     StepArrays,
     TimedPathArrays,
+    TorqueSamples,
 )
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
@@ -41,6 +42,9 @@ MIN_GAIN = 0.2
 """Share of the largest change of speed from rest that is allowed at any speed, so that an arm off the profile
 can change its speed where the curvature of the path uses up the limit. Half or twice of it changed none of
 the runs above."""
+
+LEAST_EXTRA = 0.002
+"""Torque that motions may take where holding the arm takes more than their share, relative to that torque."""
 
 UNMET_LIMITS = 1
 OUTSIDE_LIMITS = 2
@@ -88,7 +92,7 @@ def spline_slopes(x: Array2, slopes: Array2) -> None:
 # which the path acceleration u is constant, so that x = speed^2 is linear: x' = x + 2 h u. The joint
 # acceleration f = q'(s) u + q''(s) x(s) is quadratic there, and within a limit if its three Bernstein
 # coefficients are: f at both ends, and 2 f(middle) - (f(start) + f(end)) / 2. All have the form a u + b x.
-# So have torques, of which gravity takes c. They are not quadratic; between the three samples they are close.
+# So have torques, of which gravity takes c. They are not quadratic, but close to it in a part.
 
 
 @subkernel
@@ -123,6 +127,73 @@ def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3
                 steepest[at, j] = max(abs(slope_start), abs(slope_end), between)
 
 
+@compiled
+def fill_torque_rows(
+    samples: TorqueSamples, pieces: int, largest: float, rows: ProfileRows, first: int
+) -> None:
+    """Fill in the rows of torques, by cubic interpolation between samples.
+
+    Args:
+        samples: torques at four or more equidistant places on the path, from `path_torques`.
+        pieces: number of pieces of the path.
+        largest: factor of all rows.
+        rows: the rows; `limit` is given. In rows of accelerations, c is filled with zeros.
+        first: index of the first row of torques.
+    """
+    last = len(samples.a) - 1
+    nv = samples.a.shape[1]
+    count = len(rows.a)
+    h = pieces / count
+    here = np.empty((3, 3 * nv))  # at the start, the middle and the end of a part
+    every = np.empty((last + 1, 3 * nv))
+    for k in range(last + 1):
+        every[k, :nv] = samples.a[k]
+        every[k, nv : 2 * nv] = samples.b[k]
+        every[k, 2 * nv :] = samples.c[k]
+    _between(every, 0.0, here[2])
+    for k in range(count):
+        here[0] = here[2]
+        rows.c[k, :, :first] = 0.0
+        _between(every, (k + 0.5) * last / count, here[1])
+        _between(every, (k + 1.0) * last / count, here[2])
+        for j in range(nv):
+            b0 = here[0, nv + j]
+            b1 = here[1, nv + j]
+            b2 = here[2, nv + j]
+            c0 = here[0, 2 * nv + j]
+            c1 = here[1, 2 * nv + j]
+            c2 = here[2, 2 * nv + j]
+            a0 = here[0, j]
+            a1 = here[1, j] + h * b1  # x has changed by 2 s u after a distance s
+            a2 = here[2, j] + 2.0 * h * b2
+            # Where holding the arm takes nearly all, it may move slowly.
+            held = (1.0 + LEAST_EXTRA) * largest * max(abs(c0), abs(c1), abs(c2))
+            factor = largest / max(held / rows.limit[first + j], 1.0)
+            rows.a[k, 0, first + j] = factor * a0
+            rows.b[k, 0, first + j] = factor * b0
+            rows.c[k, 0, first + j] = factor * c0
+            rows.a[k, 1, first + j] = factor * (2.0 * a1 - 0.5 * (a0 + a2))
+            rows.b[k, 1, first + j] = factor * (2.0 * b1 - 0.5 * (b0 + b2))
+            rows.c[k, 1, first + j] = factor * (2.0 * c1 - 0.5 * (c0 + c2))
+            rows.a[k, 2, first + j] = factor * a2
+            rows.b[k, 2, first + j] = factor * b2
+            rows.c[k, 2, first + j] = factor * c2
+
+
+@subkernel
+def _between(samples: Array2, place: float, filled: Array1) -> None:
+    """Interpolate between samples, (s, n), by a cubic polynomial at a place in [0, s - 1]; fills (n,)."""
+    before = min(max(int(place) - 1, 0), len(samples) - 4)
+    t = place - before
+    w0 = -(t - 1.0) * (t - 2.0) * (t - 3.0) / 6.0
+    w1 = t * (t - 2.0) * (t - 3.0) / 2.0
+    w2 = -t * (t - 1.0) * (t - 3.0) / 2.0
+    w3 = t * (t - 1.0) * (t - 2.0) / 6.0
+    near = samples[before : before + 4]
+    for j in range(len(filled)):
+        filled[j] = w0 * near[0, j] + w1 * near[1, j] + w2 * near[2, j] + w3 * near[3, j]
+
+
 @subkernel
 def _acceleration_range(
     rows: ProfileRows, part: int, tiny: float, x: float
@@ -135,7 +206,7 @@ def _acceleration_range(
     for row in range(3):
         for j in range(len(rows.limit)):
             a = rows.a[part, row, j]
-            if abs(a) <= tiny:
+            if abs(a) <= tiny or rows.limit[j] == np.inf:
                 continue
             b = rows.b[part, row, j]
             middle = -(b * x + rows.c[part, row, j]) / a

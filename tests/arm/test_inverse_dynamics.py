@@ -1,4 +1,4 @@
-"""Torques of motions: against the power that changes the energy of the arm, and closed forms."""
+"""Torques of motions: against the power that changes the energy of the arm, closed forms, and Pinocchio."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm.test_weight import each_arm
 from arms import template_arm
+from sampling import seeds
+from scipy.interpolate import CubicHermiteSpline
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, WeightUnknown
@@ -88,11 +91,113 @@ def test_what_they_cannot_be_computed_for_is_named() -> None:
         arm.inverse_dynamics([arm.neutral()], rest[:, 1:], rest)
     with pytest.raises(InvalidValue, match="accelerations"):
         arm.inverse_dynamics([arm.neutral()], rest, rest * np.nan)
-    long = pp.Arm.from_template("RyRz", 51)
-    rest = np.zeros((1, long.nv))
-    with pytest.raises(InvalidValue, match="at most 100"):
-        long.inverse_dynamics([long.neutral()], rest, rest)
     bare = pp.Arm.load(arm.urdf.replace("inertial", "ignored"), modules=2)
     rest = np.zeros((1, bare.nv))
     with pytest.raises(WeightUnknown):
         bare.inverse_dynamics([bare.neutral()], rest, rest)
+
+
+def random_tree(rng: np.random.Generator) -> pp.Arm:
+    """An arm of joints of all kinds with one degree of freedom, and with branches that hang off it."""
+    turning = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRUBX, pin.JointModelRUBZ)
+    sliding = (pin.JointModelPX, pin.JointModelPZ)
+    skew = (pin.JointModelRevoluteUnaligned, pin.JointModelPrismaticUnaligned)
+    model = pin.Model()
+    tip = last = 0
+    for k in range(int(rng.integers(3, 12))):
+        kind = rng.choice([*turning, *sliding, *skew])
+        axis = rng.normal(size=3)
+        joint = kind(axis / np.linalg.norm(axis)) if kind in skew else kind()
+        branch = k > 1 and rng.uniform() < 0.3
+        parent = int(rng.choice([tip, last])) if branch else tip  # in order of depth, for Pinocchio
+        added = model.addJoint(parent, joint, pin.SE3.Random(), f"j{k}")
+        model.appendBodyToJoint(added, pin.Inertia.FromBox(*rng.uniform(0.1, 1.0, 4)), pin.SE3.Random())
+        tip = tip if branch else added
+        last = added
+    model.addFrame(pin.Frame("tip", tip, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    model.armature = rng.uniform(0.0, 1.0, model.nv)
+    model.gravity.linear = rng.normal(size=3) * 9.81
+    return pp.Arm.from_model(model, ["tip"])
+
+
+@pytest.mark.parametrize("seed", seeds(40))
+def test_the_pass_agrees_with_pinocchio_on_random_trees(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pin.seed(seed)
+    arm = random_tree(rng)
+    positions = rng.uniform(-2.0, 2.0, (5, arm.nv))
+    q = [arm.configuration(row) for row in positions]
+    velocities, accelerations = rng.normal(size=(2, 5, arm.nv))
+    data = arm.model.createData()
+    exact = [pin.rnea(arm.model, data, *motion) for motion in zip(q, velocities, accelerations, strict=True)]
+    size = float(np.abs(exact).max())
+    found = arm.inverse_dynamics(q, velocities, accelerations)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12 * size)
+    state = arm.chain_at(q[0])
+    exact = pin.computeGeneralizedGravity(arm.model, data, q[0])
+    np.testing.assert_allclose(state.gravity_torques, exact, rtol=0, atol=1e-12 * size)
+    exact = pin.computeGeneralizedGravityDerivatives(arm.model, data, q[0])
+    np.testing.assert_allclose(state.gravity_gradient, exact, rtol=0, atol=1e-12 * size)
+
+
+@each_arm
+def test_the_pass_agrees_with_pinocchio_on_coupled_joints_and_what_is_carried(make) -> None:
+    arm = make()
+    rng = np.random.default_rng(4)
+    q = [arm.random(rng) for _ in range(3)]
+    velocities, accelerations = rng.normal(size=(2, 3, arm.nv))
+    data = arm.model.createData()
+    exact = [pin.rnea(arm.model, data, *motion) for motion in zip(q, velocities, accelerations, strict=True)]
+    found = arm.inverse_dynamics(q, velocities, accelerations)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-11)
+
+
+def test_torques_along_a_path_are_those_of_its_motion() -> None:
+    arm = template_arm("RyRz", 4).with_payload(0.3)
+    rng = np.random.default_rng(5)
+    start = rng.normal(size=arm.nv)
+    offsets, slopes = rng.normal(size=(2, 4, arm.nv))
+    dt = 0.1
+    found = arm.dynamics.path_torques(start, offsets, slopes, samples=12, dt=dt)
+    curve = CubicHermiteSpline(np.arange(4), start + offsets, slopes)
+    places = np.linspace(0.0, 3.0, 12)
+    speed = rng.uniform(0.5, 2.0, (len(places), 1))
+    change = rng.normal(size=(len(places), 1))
+    q, first, second = (curve(places, order) for order in range(3))
+    expected = arm.inverse_dynamics(q, first * speed / dt, (first * change + second * speed**2) / dt**2)
+    size = float(np.abs(expected).max())
+    np.testing.assert_allclose(found.a * change + found.b * speed**2 + found.c, expected, atol=1e-12 * size)
+
+
+def test_a_long_arm_needs_the_torques_of_its_parts() -> None:
+    """The torques of joints near the tip are those of the part that they carry, on an arm of 300 joints."""
+    long = pp.Arm.from_template("Rz", 300)
+    rng = np.random.default_rng(6)
+    q, velocities, accelerations = 0.1 * rng.normal(size=(3, 1, long.nv))
+    rest = slice(250, None)
+    for each in (q, velocities, accelerations):
+        each[:, :250] = 0.0
+    part = pp.Arm.from_template("Rz", 50)
+    found = long.inverse_dynamics(q, velocities, accelerations)[:, rest]
+    expected = part.inverse_dynamics(q[:, rest], velocities[:, rest], accelerations[:, rest])
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_joints_that_move_otherwise_are_left_to_pinocchio() -> None:
+    pin.seed(1)
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRY(), pin.SE3.Random(), "first")
+    model.appendBodyToJoint(first, pin.Inertia.FromBox(1.0, 0.1, 0.2, 0.3), pin.SE3.Identity())
+    ball = model.addJoint(first, pin.JointModelSpherical(), pin.SE3.Random(), "ball")
+    model.appendBodyToJoint(ball, pin.Inertia.FromBox(2.0, 0.1, 0.3, 0.2), pin.SE3.Random())
+    model.addFrame(pin.Frame("tip", first, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    arm = pp.Arm.from_model(model, ["tip"])
+    q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
+    velocity, acceleration = np.random.default_rng(0).normal(size=(2, arm.nv))
+    exact = pin.rnea(model, model.createData(), q, velocity, acceleration)
+    np.testing.assert_allclose(arm.inverse_dynamics([q], [velocity], [acceleration]), [exact], atol=1e-12)
+    np.testing.assert_allclose(
+        arm.chain_at(q).gravity_torques,
+        pin.computeGeneralizedGravity(model, model.createData(), q),
+        atol=1e-12,
+    )
