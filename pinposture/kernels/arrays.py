@@ -56,7 +56,8 @@ class JointHistory(NamedTuple):
         readings: the last two different measured positions, (2, n) [rad or m].
         variances: of the noise of a measured position, (n,) [rad^2 or m^2].
         errors: measured minus expected positions where a joint last came to rest, (n,) [rad or m].
-        overshoots: how often that error has changed its sign, (n,).
+        commands: commanded positions at that time, (n,) [rad or m].
+        overshoots: how often that error has changed its sign, though the command moved little, (n,).
         steps: distance between the last two rests on either side, (n,) [rad or m].
     """
 
@@ -68,6 +69,7 @@ class JointHistory(NamedTuple):
     readings: Array2
     variances: Array1
     errors: Array1
+    commands: Array1
     overshoots: Array1
     steps: Array1
 

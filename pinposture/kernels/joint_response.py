@@ -59,7 +59,7 @@ def watch_joints(
         history: updated.
         blocked: set where the command has moved farther than that without moving the joint, (n,).
     """
-    anchors, starts, standing, waiting, leads, readings, variances, errors, overshoots, steps = history
+    anchors, starts, standing, waiting, leads, readings, variances, errors, commands, overshoots, steps = history
     share = dt / (dt + NOISE_TIME)
     for j in range(len(measured)):
         position = measured[j]
@@ -88,10 +88,14 @@ def watch_joints(
         blocked[j] = away > band * units[j]
         if standing[j] >= REST_TIME > standing[j] - dt:
             error = position - expected[j]
-            if error * errors[j] < 0.0 and abs(error - errors[j]) > 2.0 * least:
+            jump = abs(error - errors[j])
+            # On a longer way the offset changes with the lag of the drive: that is no fault of the drive.
+            creeps = abs(sent[j] - commands[j]) <= band * units[j] + jump
+            if error * errors[j] < 0.0 and jump > 2.0 * least and creeps:
                 overshoots[j] += 1.0
-                steps[j] = abs(error - errors[j])
+                steps[j] = jump
             errors[j] = error
+            commands[j] = sent[j]
 
 
 @compiled

@@ -98,7 +98,8 @@ class Arrival:
             variance = self._changes / (2.0 * self._different**2 * len(mean))  # of the average
         kept = self._variance if self.arrived and self._variance is not None else variance
         self._variance = 0.5 * (kept + variance)
-        within = self._tolerance + tolerances.DEVIATIONS * float(np.sqrt(self._variance))
+        noise = tolerances.DEVIATIONS * float(np.sqrt(self._variance))
+        within = self._tolerance + noise
         off = target.mean_distance(mean)
         if self.arrived:
             self.arrived = off <= tolerances.LEAVING * within
@@ -106,7 +107,7 @@ class Arrival:
             approaches = off < tolerances.APPROACH * self._off
             self.arrived = off <= within and drift <= tolerances.DRIFT * within and not approaches
         self._off = off
-        most = tolerances.DRIFT * within + tolerances.STANDING_DRIFT * off
+        most = tolerances.DRIFT * noise + tolerances.STANDING_DRIFT * off
         still = drift <= (tolerances.LEAVING * most if self.standing else most)
         self.standing = self.standing + self._time if still else 0.0
 

@@ -83,6 +83,7 @@ class DriveResponse:
             readings=np.array([positions, positions]),
             variances=(NOISE * self.arm.joint_units) ** 2,
             errors=np.zeros(nv),
+            commands=positions.copy(),
             overshoots=np.zeros(nv),
             steps=np.zeros(nv),
         )

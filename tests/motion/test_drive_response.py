@@ -255,6 +255,29 @@ def test_the_measured_tip_takes_its_task_in_spite_of_sag_that_changes(
     assert max(off) < most
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize(("modules", "seed"), [(6, 2), (10, 0)])
+def test_a_sagging_arm_with_a_task_comes_to_rest_and_does_not_stall(modules: int, seed: int) -> None:
+    arm = template_arm("RyRz", modules)
+    rng = np.random.default_rng(seed)
+    goal = rng.uniform(-0.4, 0.4, arm.nv)
+    wanted = tip_of(arm, goal)
+    controller = pp.Geodesic(tasks=(pp.EndEffector(pose=wanted, priority=True),))
+    tracker = Tracker(arm, controller, LIMITS, pp.Scene())
+    tracker.update(Target.from_configuration(arm, goal))
+    sag = 0.03 * rng.normal(size=arm.nv)
+    q = np.zeros(arm.nv)
+    statuses = []
+    for _ in range(1700):
+        tracker.step(q)
+        statuses.append(tracker.report.status)
+        q = q + 0.2 * (tracker.command + sag - q)
+    assert set(statuses) == {"moving", "converged"}
+    assert set(statuses[-100:]) == {"converged"}
+    error = pin.log6(wanted.actInv(tip_of(arm, q))).vector
+    assert np.abs(error).max() < 1e-6
+
+
 def test_an_arm_that_only_falls_does_not_follow(arm: pp.Arm) -> None:
     response = DriveResponse(arm, 0.3, positions_sent=True)
     for cycle in range(300):

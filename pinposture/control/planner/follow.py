@@ -596,7 +596,8 @@ def step_along(
     bounds = limits.for_arm(state.arm)
     here = progress.place
     tasks = objective.task_rows(state, priority=True)
-    place, left, inside, hindered, dq = _next_on_path(progress, state, box, bounds, tasks)
+    proposal = _next_on_path(progress, state, box, bounds, tasks)
+    place, left, inside, hindered, dq, _ = proposal
     if place >= path.end and left <= ARRIVED:
         progress = progress._replace(arrived=True, place=path.end)
         return reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
@@ -620,11 +621,35 @@ def step_along(
         found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, step_bounds)
         x = np.clip(wanted, step_bounds.lower, step_bounds.upper) if found.x is None else found.x
         return CandidateStep(objective.displacement(x), progress, found)
+    step = _bend_to_tasks(progress, dq, step_bounds, tasks)
+    if tasks is not None and proposal.rest is not None:
+        most = np.abs(dq) + ARRIVED * objective.chain.units
+        if np.any((np.abs(step.dq) > most)[objective.columns]):
+            shared = _share(proposal.rest, dq)
+            step = _bend_to_tasks(progress, shared, step_bounds, tasks)
+    return step
+
+
+def _bend_to_tasks(
+    progress: PathProgress, dq: Array, step_bounds: StepBounds, tasks: LinearRows | None
+) -> CandidateStep:
+    """Return the step closest to one along the path that tasks with priority admit.
+
+    Args:
+        progress: position of the arm on its path after the step.
+        dq: the step along the path, (nv,) [rad or m].
+        step_bounds: the bounds of the step.
+        tasks: the rows of the tasks at the state; None: there are none.
+    """
+    objective = progress.objective
+    path = progress.path
+    state = step_bounds.state
+    wanted = objective.normalize(dq)
     hessian = damped_hessian(objective.rows(state).matrix, objective.mu**2)
     first = None
     planned: Array | None = None
     if tasks is not None:
-        planned = _planned_errors(path, place, len(tasks.errors))
+        planned = _planned_errors(path, progress.place, len(tasks.errors))
         reached = cast(LinearRows, objective.task_rows(objective.state_after(state, wanted), priority=True))
         motion = tasks.matrix @ wanted + reached.errors - planned  # none but `wanted` if that leads there
         first = solve_priority(objective, step_bounds, tasks, motion, wanted)
@@ -634,6 +659,21 @@ def step_along(
     else:
         x = correct_curvature(objective, step_bounds, found.x, planned)
     return CandidateStep(objective.displacement(x), progress, found)
+
+
+def _share(rest: Array, dq: Array) -> Array:
+    """Return the longest step along a motion in which no joint exceeds the step given for it.
+
+    Joints that move each on its own leave what tasks with priority admit: bent back to that, their steps
+    cannot be stopped at the end of the motion, and the arm swings about it.
+
+    Args:
+        rest: the motion, (nv,) [rad or m].
+        dq: steps after which each joint can stop at its end, (nv,) [rad or m].
+    """
+    moves = rest != 0.0
+    shares = np.abs(dq)[moves] / np.abs(rest[moves])
+    return rest * float(shares.min(initial=1.0))
 
 
 def _planned_errors(path: JointPath, place: float, count: int) -> Array:
@@ -664,6 +704,7 @@ class _Proposal(NamedTuple):
         inside: whether it is within its limits.
         hindered: whether it is shorter than the profile allows.
         dq: the step, (nv,) [rad or m].
+        rest: the rest of the motion, (nv,) [rad or m], if each joint moves there on its own; else None.
     """
 
     place: float
@@ -671,6 +712,7 @@ class _Proposal(NamedTuple):
     inside: bool
     hindered: bool
     dq: Array
+    rest: Array | None = None
 
 
 def _next_on_path(
@@ -698,8 +740,8 @@ def _next_on_path(
         # On so short a path each joint moves to the end on its own, as fast as it can stop there.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
-        whole = float(np.abs(path.offsets[-1][columns] / units).max(initial=0.0))
-        return _Proposal(max(here, 1.0 - ahead / max(whole, ARRIVED)), left, True, True, dq)
+        place = 1.0 - (1.0 - here) * min(ahead / max(left, ARRIVED), 1.0)
+        return _Proposal(place, left, True, True, dq, rest)
     lag = path.smooth_offset(here) - offset
     if tasks is not None:
         lag = _admitted(path, here, tasks, lag)
