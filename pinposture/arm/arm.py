@@ -88,11 +88,19 @@ from pinposture.arm.weight import (
     effort_limits,
     largest_payload,
     links_without_mass,
+    parts_without_mass,
     stiffness_matrix,
     weighted_model,
 )
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, NoEquilibrium, PostureError, WeightUnknown, warn_caller
+from pinposture.errors import (
+    InvalidValue,
+    NoEquilibrium,
+    PostureError,
+    WeightUnknown,
+    enumerated,
+    warn_caller,
+)
 from pinposture.kernels.arrays import Screws
 from pinposture.schema import as_plain, read_plain
 from pinposture.storage import settled
@@ -934,15 +942,21 @@ class Arm(ConfigurationSpace):
             warns: whether a `PostureWarning` reports, once, numbers that cannot be right.
 
         Raises:
-            WeightUnknown: a link that a joint moves has a shape or an extent, and no mass; names the links.
+            WeightUnknown: a link that a joint moves has a shape or an extent, and no mass, nor has a link to
+                which it is fixed; names the links.
             URDFError: an impossible number in the description; names the link.
             InvalidValue: an impossible mass in a model; names the joint.
         """
         if self._masses_checked:
             return
         warnings = check_masses(self._described, self.urdf, self.chain.length)
-        if self.links_without_mass:
-            raise WeightUnknown("mass", self.links_without_mass, REMEDY)
+        parts = self.parts_without_mass
+        lacking = [name for name in self.links_without_mass if name not in parts]
+        if lacking:
+            raise WeightUnknown("mass", lacking, REMEDY)
+        if parts:
+            counted = "have shapes and no mass; they count with the links that carry them"
+            warnings.append(f"{enumerated([repr(name) for name in parts], 6)} {counted}; {REMEDY}")
         if warns:
             for message in warnings:
                 warn_caller(message)
@@ -952,10 +966,16 @@ class Arm(ConfigurationSpace):
     def links_without_mass(self) -> tuple[str, ...]:
         """Links that joints move and whose masses are not known; joints where links have no names.
 
-        They have a shape or an extent, but no mass. `pp.weigh` gives them one.
+        They have a shape or an extent, but no mass. `pp.weigh` gives them one. Torques are refused if one of
+        them is not in `parts_without_mass`.
         """
         described = (self._described, self.urdf, self.weight)
         return tuple(links_without_mass(*described, self.chain, self.control_points))
+
+    @property
+    def parts_without_mass(self) -> tuple[str, ...]:
+        """Those of `links_without_mass` that are fixed to links with mass, and count with them."""
+        return tuple(parts_without_mass(self._described, self.weight, self.links_without_mass))
 
     def _load_of(self, column: int, torque: float) -> JointLoad:
         """Return the load of the drive behind a degree of freedom.

@@ -454,6 +454,24 @@ def links_without_mass(
     return lacking
 
 
+def parts_without_mass(model: pin.Model, weight: Weight, lacking: Sequence[str]) -> list[str]:
+    """Return which of the links without mass are fixed to links with mass: stickers, covers, flanges.
+
+    Descriptions often count such a part with the link that carries it.
+
+    Args:
+        model: the model of the description alone.
+        weight: what is known beyond it.
+        lacking: what `links_without_mass` returns.
+    """
+    known = {load.frame for load in weight.masses if load.mass > 0.0}
+    massive: set[str] = set()
+    for joint, names in carried_links(model).items():
+        if model.inertias[joint].mass > 0.0 or known & {*names}:
+            massive |= {*names}
+    return [name for name in lacking if name in massive]
+
+
 def carried_links(model: pin.Model) -> dict[int, list[str]]:
     """Return the names of the links that each joint carries, by its index."""
     carried: dict[int, list[str]] = {}

@@ -27,8 +27,9 @@ _TRIANGLE = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 def weigh(arm: Arm, density: float | None = None, masses: Mapping[str, float] | None = None) -> Arm:
     """Return an arm with masses for the links to which its description gives none.
 
-    The masses that the description gives stay as they are. Shapes are those of <collision>, or of <visual>
-    for a link without these; a mesh counts as its convex hull, and what two shapes share counts twice.
+    The masses that the description gives stay as they are. Parts that are fixed to a link with mass may go
+    without. Shapes are those of <collision>, or of <visual> for a link without these; a mesh counts as its
+    convex hull, and what two shapes share counts twice.
 
         arm = pp.weigh(pp.Arm.load("snake.urdf"), density=1200.0)
         arm = pp.weigh(pp.Arm.load("snake.urdf"), density=1200.0, masses={"camera": 0.08, "marker": 0.0})
@@ -73,12 +74,14 @@ def weigh(arm: Arm, density: float | None = None, masses: Mapping[str, float] | 
             added.append(_load(name, solid, mass / solid.mass))
         else:
             added.append(_rod(arm, name, mass))
+    weight = replace(arm.weight, masses=(*arm.weight.masses, *added), density=density)
+    weighed = arm.with_weight(weight)
+    unknown = [name for name in unknown if name not in weighed.parts_without_mass]
     if unknown:
         reasons = "; ".join(faults[name] for name in unknown if name in faults)
         remedy = "give a density, or their masses" if density is None else "they have no shapes: give masses"
         raise WeightUnknown("mass", unknown, f"{remedy}{f' ({reasons})' if reasons else ''}")
-    weight = replace(arm.weight, masses=(*arm.weight.masses, *added), density=density)
-    return arm.with_weight(weight)
+    return weighed
 
 
 def _solids(arm: Arm, links: tuple[str, ...]) -> tuple[dict[str, pin.Inertia], dict[str, str]]:

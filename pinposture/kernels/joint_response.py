@@ -59,7 +59,9 @@ def watch_joints(
         history: updated.
         blocked: set where the command has moved farther than that without moving the joint, (n,).
     """
-    anchors, starts, standing, waiting, leads, readings, variances, errors, commands, overshoots, steps = history
+    anchors, starts, standing, waiting, leads, readings, variances, errors, commands, overshoots, steps = (
+        history
+    )
     share = dt / (dt + NOISE_TIME)
     for j in range(len(measured)):
         position = measured[j]
