@@ -238,6 +238,7 @@ def examples() -> dict[str, Any]:
         "lead": 0.0,
         "motion": (keyframes[0], keyframes[1]),
         "jobs": 1,
+        "compensate": False,
         "rng": 0,
         "seed": 0,
         "tip": pp.EndEffector(position=(0.1, 0.0, 0.1)),

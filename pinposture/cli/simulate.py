@@ -108,7 +108,7 @@ def run(
                 progress=progress,
                 scene=surroundings,
                 tolerance=settings.tolerance,
-                compensate=simulation_options.compensate,
+                compensate=settings.compensate,
             )
     files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
@@ -127,6 +127,7 @@ class Settings(NamedTuple):
     cycle: float | None
     hold: float
     tolerance: float | None
+    compensate: bool
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,8 @@ class SimulationOptions:
         cycle = read_option("--dt", self.dt, Duration)
         near = read_option("--tolerance", self.tolerance, Length)
         given = {"frequency": self.frequency, "torque_limits": not self.no_torque_limits}
-        return Settings(read_declared(Servos, given), not self.no_gravity, cycle, hold, near)
+        servos = read_declared(Servos, given)
+        return Settings(servos, not self.no_gravity, cycle, hold, near, self.compensate)
 
 
 def simulation_files(simulation: Simulation, directory: Path) -> list[File]:
@@ -233,7 +235,7 @@ def _simulate_closed(
         limits = replace(limits, acceleration=None, jerk=None)
     return simulate_closed(
         arm,
-        Tracker(arm, limits=limits, scene=scene),
+        Tracker(arm, limits=limits, scene=scene, compensate=settings.compensate),
         targets,
         q0=arm.configuration(asked.positions[0]),
         duration=asked.dt * (len(asked.positions) - 1) + settings.hold,

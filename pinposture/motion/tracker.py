@@ -36,6 +36,7 @@ from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
 from pinposture.motion.loop import Loop, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities
+from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
 from pinposture.units import length_text
@@ -172,9 +173,13 @@ class Tracker:
             process, which takes some seconds to start, and no cycle waits for them. "thread": in a thread, as
             with other controllers. Threads share the interpreter, so a cycle can then exceed the deadline by
             some tens of milliseconds.
+        compensate: whether `command` and `positions` also compensate the sag of the loaded arm, from its
+            masses and `Arm.stiffness` (`Arm.compensate`). The feedback then only corrects the rest. A tenth
+            of each limit is kept for it. Only for the position interface.
 
     Raises:
-        InvalidValue: limits without dt, or a number that is not positive.
+        InvalidValue: limits without dt, a number that is not positive, or `compensate` with velocities.
+        WeightUnknown: `compensate` without masses or stiffness.
         UnknownName: no such controller, interface or place of planning.
     """
 
@@ -191,12 +196,16 @@ class Tracker:
         timeout: float = float("inf"),
         deadline: float = float("inf"),
         planning: Literal["process", "thread"] = "process",
+        compensate: bool = False,
     ) -> None:
         require_instance("arm", arm, Arm, "an Arm")
         period = cycle_of(limits)
         limits = cast(Limits, limits)  # checked by `cycle_of`
         require_known("interface", interface, INTERFACES)
         require_known("planning", planning, PLANNING)
+        require_instance("compensate", compensate, bool, "True or False")
+        if compensate and interface == "velocity":
+            raise InvalidValue("compensate", True, "False for drives that are sent velocities")
         for name, value in (
             ("feedback_time_constant", feedback_time_constant),
             ("resync_time", resync_time),
@@ -211,6 +220,7 @@ class Tracker:
         self._period = period
         self._rates = RateCheck(arm, period)
         self._former: Limits | None = None
+        self._sag = SagCompensation(arm, limits) if compensate else None
         controller, self.scene = in_scene(controller_named(controller), scene)
         steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
@@ -218,7 +228,8 @@ class Tracker:
         else:
             steps = DirectStep(controller, deadline)
         self._obstacles = ObstacleVelocities(self.scene, arm.length)
-        self._loop = Loop(arm.at(arm.neutral()), steps, limits, SmoothSteps(arm, limits))
+        inner = self._of_command(limits)
+        self._loop = Loop(arm.at(arm.neutral()), steps, inner, SmoothSteps(arm, inner))
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
@@ -260,13 +271,24 @@ class Tracker:
     @limits.setter
     def limits(self, limits: Limits) -> None:
         period = cycle_of(limits)
-        smooth = SmoothSteps(self.arm, limits)
+        smooth = SmoothSteps(self.arm, self._of_command(limits))
         former = self._limits if self._former is None else self._former
         same = smooth.like(self._smoothing) and (period == cycle_of(former) or not smooth.active)
         self._limits = limits
         self._former = None if same else former
         if same:
             self._period = period
+            if self._sag is not None:
+                self._sag.take(limits)
+
+    def _of_command(self, limits: Limits) -> Limits:
+        """Return the limits within which the command moves: without what is kept for compensation."""
+        return limits if self._sag is None else shared(limits, self.arm, 1.0 - RESERVED)
+
+    @property
+    def compensates(self) -> bool:
+        """Whether what is sent compensates the sag of the loaded arm."""
+        return self._sag is not None
 
     @property
     def command(self) -> Array:
@@ -277,6 +299,8 @@ class Tracker:
         """
         if self._feedback.state is None:
             raise InvalidValue("command", None, "a command after the first measurement (see `step`)")
+        if self._sag is not None:
+            return self.arm.integrate(self._feedback.command, self._sag.offset)
         return np.array(self._feedback.command)
 
     @property
@@ -292,7 +316,11 @@ class Tracker:
         """
         if self._feedback.positions is None:
             raise InvalidValue("positions", None, "positions after the first measurement (see `step`)")
-        return self.arm.drives.positions(self._feedback.positions)
+        return self.arm.drives.positions(self._sent_positions(self._feedback.positions))
+
+    def _sent_positions(self, positions: Array) -> Array:
+        """Return joint positions of the command, (nv,), with what compensates sag."""
+        return positions if self._sag is None else positions + self._sag.offset
 
     @property
     def target(self) -> Target | None:
@@ -359,6 +387,7 @@ class Tracker:
         self._dt = self._period
         self._smoothing.restart(moved)
         self._rates.restart(moved)
+        self._restart_compensation()
         self._arrival.restart()
         self._feedback.settled = False
         self._try_again()
@@ -415,6 +444,7 @@ class Tracker:
             self._loop.memory = None
             self._smoothing.restart()
             self._rates.restart()
+            self._restart_compensation()
         self._age += passed
         self._judge_arrival(feedback, dt)
         self._watch_clearance()
@@ -425,13 +455,29 @@ class Tracker:
         dq = self._smoothing.advance(share, decision.dq if needed else None)
         self._decision = decision
         self._feedback.apply_step(dq)
+        sent = dq + self._compensate(dt)
         decision = decision._replace(step=self._describe_sent(feedback, decision, dq))
-        report = self._make_report(feedback, decision, dq, passed)
+        report = self._make_report(feedback, decision, dq, sent, passed)
         self._watch_hindrances(decision, dq, report.mean_error, dt)
         taken = perf_counter() - begun
         self.report = report._replace(time=taken, overran=taken > self._period)
         self.overruns += self.report.overran
-        return np.array(dq)
+        return np.array(sent)
+
+    def _restart_compensation(self) -> None:
+        """Begin anew to compensate sag, at the command."""
+        state = self._feedback.state
+        positions = self._feedback.positions
+        if self._sag is not None and state is not None and positions is not None:
+            self._sag.restart(state, positions)
+
+    def _compensate(self, dt: float) -> Array:
+        """Return by how much the compensation of sag moves in a cycle, (nv,) [rad or m]."""
+        state = self._feedback.state
+        positions = self._feedback.positions
+        if self._sag is None or state is None or positions is None:
+            return np.zeros(self.arm.nv)
+        return self._sag.advance(state, positions, dt)
 
     def _decide(self, feedback: FeedbackState, dt: float) -> Decision:
         """Return the step of the controller for a cycle of a duration [s], or one that brakes.
@@ -467,7 +513,7 @@ class Tracker:
     def _begin_cycle(self, dt: float) -> None:
         """Set the limits and the last step to those of a cycle of a duration [s]."""
         loop = self._loop
-        loop.limits = self._limits if self._former is None else self._former
+        loop.limits = self._of_command(self._limits if self._former is None else self._former)
         if self._smoothing.active:
             return
         if dt != self._period:
@@ -566,13 +612,16 @@ class Tracker:
     def _is_at_rest(self) -> bool:
         """Whether the arm does not move, and no step that is still to come moves it."""
         memory = self._loop.memory
-        return memory is None or not (self._smoothing.moving or bool(np.any(memory.dq)))
+        compensating = self._sag is not None and self._sag.moving
+        return memory is None or not (self._smoothing.moving or bool(np.any(memory.dq)) or compensating)
 
     def _take_limits(self) -> None:
         """Let the latest limits take effect, at rest."""
         self._former = None
         self._period = self._dt = cycle_of(self._limits)
-        self._loop.filter = SmoothSteps(self.arm, self._limits)
+        self._loop.filter = SmoothSteps(self.arm, self._of_command(self._limits))
+        if self._sag is not None:
+            self._sag.take(self._limits)
 
     def _judge_arrival(self, feedback: FeedbackState, dt: float) -> None:
         """Judge from the measurements so far whether the arm is at its target, and settle there."""
@@ -621,7 +670,10 @@ class Tracker:
             return f"the target is {self._age:.3g} s old; it expired after {self._timeout:.3g} s"
         return ""
 
-    def _make_report(self, feedback: FeedbackState, decision: Decision, dq: Array, passed: float) -> Report:
+    def _make_report(
+        self, feedback: FeedbackState, decision: Decision, dq: Array, sent: Array, passed: float
+    ) -> Report:
+        """Describe a cycle of a duration [s], with the steps of the command and of what was sent, (nv,)."""
         step = decision.step
         target = self._target
         points = self._feedback.points
@@ -629,10 +681,10 @@ class Tracker:
         status, reason = self._judge_status(feedback, decision, dq, error)
         age = None if target is None else self._age
         relaxed = () if step is None else step.violated_constraints
-        relaxed += self._lost_limits(relaxed) + self._lost_clearance()
+        relaxed += self._lost_limits(relaxed) + self._lost_clearance() + self._lost_compensation()
         period = cycle_of(self._limits)
         duration = min(max(passed, MIN_CYCLE * period), period)
-        for exceeded in self._rates.exceeded(dq, duration, self._limits.for_arm(self.arm)):
+        for exceeded in self._rates.exceeded(sent, duration, self._limits.for_arm(self.arm)):
             # Also while the jerk filter spreads such a step over later cycles, or the arm waits for a path.
             harder = self.scene is not None and exceeded.startswith("acceleration")
             text = BRAKING_HARDER if harder else exceeded
@@ -688,6 +740,8 @@ class Tracker:
         """Return a message if a joint of the command is outside its limits, unless it is known."""
         positions = self._feedback.positions
         limits = self.arm.limits
+        if positions is not None:
+            positions = self._sent_positions(positions)
         if positions is None or any(text.startswith("position limit") for text in known):
             return ()
         outside = np.maximum(limits.lower - positions, positions - limits.upper) / self.arm.joint_units
@@ -698,6 +752,21 @@ class Tracker:
         allowed = f"{limits.lower[joint]:.4g} to {limits.upper[joint]:.4g} {unit}"
         name = self.arm.joint_names[joint]
         return (f"position limit: joint {name!r} is at {positions[joint]:.4g}, outside {allowed}",)
+
+    def _lost_compensation(self) -> tuple[str, ...]:
+        """Return a message if a joint cannot compensate sag within its position limits."""
+        state = self._feedback.state
+        positions = self._feedback.positions
+        if self._sag is None or state is None or positions is None:
+            return ()
+        cut = np.abs(self._sag.cut(state, positions)) / self.arm.joint_units
+        joint = int(cut.argmax())
+        if cut[joint] <= POSITION_SLACK:
+            return ()
+        unit = "m" if self.arm.slides[joint] else "rad"
+        lacking = f"{cut[joint] * self.arm.joint_units[joint]:.3g} {unit}"
+        name = self.arm.joint_names[joint]
+        return (f"position limit: joint {name!r} lacks {lacking} to compensate sag",)
 
     def _lost_clearance(self) -> tuple[str, ...]:
         """Return a message if the measured arm or the command is too close to something.

@@ -12,7 +12,7 @@ from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
-from pinposture.motion import JointTrajectory, Run, Trajectory
+from pinposture.motion import JointTrajectory, Run, Tracker, Trajectory
 from pinposture.placement import Target
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
@@ -192,7 +192,8 @@ def simulate_closed(
     """Drive an arm with a controller that uses position feedback (closed loop).
 
     In each cycle the controller receives the current target and the measured configuration. The set points
-    interpolate its commands smoothly, half a cycle late; see `pinposture.sim.plant`.
+    interpolate its commands smoothly, half a cycle late; see `pinposture.sim.plant`. With a `Tracker` that
+    compensates sag, the arm is held at its start as such drives hold it; otherwise gravity starts to act.
 
     Args:
         arm: the arm, created from a URDF or from modules.
@@ -226,13 +227,17 @@ def simulate_closed(
     if not callable(at):
         raise InvalidValue("targets", targets, "a Target, or a function of time [s] that returns one")
     drives = arm.drives
-    positions = drives.positions(arm.positions(start))
-    recording = Recording(Plant(build_plant_model(arm, servos, gravity), positions, dt), at(0.0))
+    begin = arm.positions(start)
+    command = start
+    if isinstance(tracker, Tracker) and tracker.compensates:  # the arm is at rest on its springs
+        command = arm.compensate(start)
+    positions = drives.positions(begin + arm.difference(start, command))
+    plant = Plant(build_plant_model(arm, servos, gravity), drives.positions(begin), dt, positions)
+    recording = Recording(plant, at(0.0))
     sensors = Sensors(Sensing() if sensing is None else sensing)
     cycles = max(1, int(np.ceil(duration / dt - 1e-9)))
     arrived = 0
     done = 0
-    command = start
     for done in range(1, cycles + 1):
         measured = sensors.measure(recording.plant.positions)
         arrived += measured is not None

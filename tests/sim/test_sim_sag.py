@@ -153,3 +153,26 @@ def test_turns_of_continuous_joints_stay_in_the_commands() -> None:
     positions = np.linspace(0.0, 1.0, 40)[:, None] * np.array([9.0, 0.3, -5.0, 0.2])
     motion = JointTrajectory.from_positions(arm.joint_names, positions, 0.1)
     assert np.abs(motion.compensated(arm).positions - positions).max() < 0.1
+
+
+@pytest.mark.parametrize("make", ARMS.values(), ids=ARMS)
+def test_a_tracker_that_compensates_needs_no_feedback(make) -> None:
+    arm = make()
+    goal = bent(arm)
+    limits = pp.Limits(step=None, dt=DT, velocity=1.0, acceleration=8.0)
+    coupled = isinstance(arm.weight.stiffness, tuple)
+    tips = []
+    lighter = arm.with_weight(Weight(stiffness=arm.weight.stiffness)).with_payload(0.04)
+    for model, compensate in ((arm, False), (arm, True), (lighter, True)):
+        tracker = pp.Tracker(model, limits=limits, compensate=compensate, feedback_time_constant=np.inf)
+        ended = sim.simulate_closed(
+            arm,
+            tracker,
+            pp.Target.from_configuration(arm, goal),
+            arm.straight(),
+            *(12.0 if coupled else 5.0, DT),
+        )
+        tips.append(float(np.linalg.norm(ended.points[-1, -1] - arm.at(goal).points[-1])))
+    assert tips[0] > 5e-4
+    assert tips[1] < 0.02 * tips[0]
+    assert tips[2] < 0.1 * tips[0]
