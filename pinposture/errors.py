@@ -301,19 +301,19 @@ class CurveOutOfReach(TargetError):
 
 
 class ControllerError(PostureError):
-    """An exception in the step of a controller, or the rows of a constraint; it is the cause of this error.
+    """An exception in a controller, constraint, task or null objective of yours, which is its cause.
 
     Attributes:
-        controller: the class of the controller, or the name of the constraint.
+        controller: the class of the controller or task, or the name of the constraint or function.
         reason: the exception, in words.
-        call: the call that raised it.
+        call: the method that raised it, with its arguments; empty for a function.
     """
 
     def __init__(self, controller: str, reason: str, call: str = "step(...)") -> None:
         self.controller = controller
         self.reason = reason
         self.call = call
-        super().__init__(f"{controller}.{call} raised {reason}")
+        super().__init__(f"{controller}{'.' if call else ''}{call} raised {reason}")
 
 
 class ReachError(PostureError):

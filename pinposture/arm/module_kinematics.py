@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import finite_array, is_number, is_whole, require_positive
 from pinposture.arm.kinematics import chain_arrays
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
@@ -263,28 +264,71 @@ def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
     return None
 
 
+def end_of(kinematics: ModuleKinematics, q: Array) -> tuple[Array, Array]:
+    """Return the position (3,) [m] and the orientation (3, 3) of the end of a module, as its FK says.
+
+    Raises:
+        InvalidValue: it returns something else; names its class.
+    """
+    what = f"{type(kinematics).__name__}.forward(q)"
+    given = kinematics.forward(q)
+    if not (isinstance(given, tuple | list) and len(given) == 2):
+        raise InvalidValue(what, given, "two arrays: a position, (3,) [m], and an orientation, (3, 3)")
+    place = finite_array(f"{what}, position", given[0], (3,))
+    return place, finite_array(f"{what}, orientation", given[1], (3, 3))
+
+
+def positions_for(kinematics: ModuleKinematics, p: Array) -> Iterator[Array]:
+    """Yield the joint positions, (k,) each, that put the end of a module at p, (3,) [m], as its IK says.
+
+    Raises:
+        InvalidValue: it returns something else; names its class.
+    """
+    what = f"{type(kinematics).__name__}.inverse(p)"
+    given = kinematics.inverse(p)
+    if not isinstance(given, Iterable) or isinstance(given, str):
+        raise InvalidValue(what, given, "a list of joint positions; empty if the point is out of reach")
+    for number, each in enumerate(given):
+        yield finite_array(f"{what}[{number}]", each, (kinematics.dof,))
+
+
+def point_after(kinematics: ModuleKinematics, base: pin.SE3, curve: Curve, start: float) -> float | None:
+    """Return the next point of a curve that the end of a module can reach, as its TP says; None without one.
+
+    Raises:
+        InvalidValue: it returns something else; names its class.
+    """
+    found = kinematics.target_point(base, curve, start)
+    if found is None:
+        return None
+    if not (is_number(found) and start < found <= curve.length * (1.0 + 1e-12)):
+        allowed = f"an arc length above {start:.6g} m, at most {curve.length:.6g} m, or None"
+        raise InvalidValue(f"{type(kinematics).__name__}.target_point(...)", found, allowed)
+    return float(found)
+
+
 def _check(recognise: Recogniser, found: object, joints: ModuleJoints) -> None:
     """Compare kinematics with the joints, within their own `tolerance` if they have one."""
     name = f"module kinematics of {getattr(recognise, '__qualname__', recognise)!s}"
     if not isinstance(found, ModuleKinematics):
         raise InvalidValue(name, found, "ModuleKinematics: dof, reach, forward, inverse and target_point")
     listed = ", ".join(joints.names)
-    if found.dof != joints.dof:
+    if not (is_whole(found.dof) and found.dof == joints.dof):
         raise InvalidValue(f"{name}: dof", found.dof, f"{joints.dof}, as joints {listed} have")
-    length = max(float(found.reach), float(np.linalg.norm(joints.end)))
-    most = float(getattr(found, "tolerance", 0.0)) or FK_TOLERANCE
+    length = max(require_positive(f"{name}: reach", found.reach), float(np.linalg.norm(joints.end)))
+    most = require_positive(f"{name}: tolerance", getattr(found, "tolerance", 0.0), zero=True) or FK_TOLERANCE
     low = np.maximum(joints.lower, -np.pi)
     high = np.minimum(joints.upper, np.pi)
     low, high = np.minimum(low, high), np.maximum(low, high)
     for q in np.random.default_rng(0).uniform(low, high, (CHECKED_POSTURES, joints.dof)):
         place, turn = joints.forward(q)
-        at, facing = found.forward(q)
-        apart = float(np.linalg.norm(np.asarray(at, dtype=float) - place)) / length
-        turned = float(np.linalg.norm(np.asarray(facing, dtype=float) - turn))
+        at, facing = end_of(found, q)
+        apart = float(np.linalg.norm(at - place)) / length
+        turned = float(np.linalg.norm(facing - turn))
         if not max(apart, turned) <= most:
             values = ", ".join(f"{value:.4g}" for value in q)
             allowed = (
                 f"the placement to which joints {listed} move the end, to {most:g}: "
                 f"{apart:.3g} reaches and {turned:.3g} rad off"
             )
-            raise InvalidValue(f"{name}: forward([{values}])", np.asarray(at).tolist(), allowed)
+            raise InvalidValue(f"{name}: forward([{values}])", at.tolist(), allowed)

@@ -644,7 +644,7 @@ class MeshShape(Described):
 
     def build(self) -> Mesh:
         """Return its mesh in its own frame, without a placement; only a closed mesh has an inside."""
-        raise NotImplementedError
+        raise InvalidValue(f"{type(self).__name__}.build", "not defined", "a method that returns a Mesh")
 
     @cached_property
     def geometry(self) -> Mesh:
@@ -657,11 +657,17 @@ class MeshShape(Described):
 
 @lru_cache(maxsize=MAX_BUILT_MESHES)
 def _built(shape: MeshShape) -> Mesh:
-    mesh = shape.build()
-    require_instance(f"build() of a {shape.type}", mesh, Mesh, "a Mesh")
+    what = f"{type(shape).__name__}.build()"
+    try:
+        mesh = shape.build()
+    except InvalidValue as error:  # such as a mesh that is none
+        if error.name.startswith(what.removesuffix("()")):
+            raise
+        raise InvalidValue(f"{what}, {error.name}", error.value, error.allowed) from error
+    require_instance(what, mesh, Mesh, "a Mesh")
     if any(mesh.center) or mesh.rotation != UNTURNED:
         allowed = "(0, 0, 0), without a rotation: the obstacle itself is placed"
-        raise InvalidValue(f"center of build() of a {shape.type}", mesh.center, allowed)
+        raise InvalidValue(f"{what}, center", mesh.center, allowed)
     if not mesh.convex:
         _ = mesh.tree  # built once: placed copies keep it
     return mesh

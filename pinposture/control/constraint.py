@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import as_floats, finite_array, require_instance
 from pinposture.arm import ArmState
-from pinposture.control.controller import describe_exception
-from pinposture.errors import ControllerError, InvalidValue, PostureError
+from pinposture.control.controller import call_own
+from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -112,12 +112,7 @@ def describe_violated(sides: Sides, length: float) -> tuple[str, ...]:
 
 def _rows(constraint: Constraint, name: str, state: ArmState) -> tuple[Array, Array, Array]:
     what = f"{name}.rows(state)"
-    try:
-        given = constraint.rows(state)
-    except PostureError:
-        raise
-    except Exception as error:
-        raise ControllerError(name, describe_exception(error), "rows(state)") from error
+    given = call_own(name, "rows(state)", constraint.rows, state)
     if not isinstance(given, tuple) or len(given) != 3:
         raise InvalidValue(what, given, ROWS)
     matrix = finite_array(f"{what}, matrix", given[0], (None, state.arm.nv))

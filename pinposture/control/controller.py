@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import LARGEST_NUMBER, require_instance
+from pinposture._validation import LARGEST_NUMBER, is_whole, require_instance
 from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits
 from pinposture.errors import ControllerError, InvalidValue, PostureError
@@ -188,20 +188,38 @@ def next_step(
         InvalidValue: the controller returned something other than a valid `Step` for this arm.
         ControllerError: it raised an exception that is no `PostureError`.
     """
-    try:
-        step = controller.step(state, target, limits, memory)
-    except PostureError:
-        raise
-    except Exception as error:
-        raise ControllerError(type(controller).__qualname__, describe_exception(error)) from error
+    name = type(controller).__name__
+    step = call_own(name, "step(...)", controller.step, state, target, limits, memory)
     if not isinstance(step, Step):
         allowed = "a Step, for instance Step(limited.dq, clipped=limited.clipped)"
-        raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
+        raise InvalidValue(f"{name}.step(...) (returned)", step, allowed)
     if not type(controller).__module__.startswith(OWN):  # ours are tested for this; checks cost time
-        _require_valid(controller, state, step)
+        info = call_own(name, "step(...).info", _read_info, step.info)  # values may be computed now
+        step = step._replace(info=info)
+        _require_valid(name, state, step)
     if step.clipped is None:
         step = step._replace(clipped=np.zeros(state.arm.nv, dtype=np.bool_))
     return step if step.memory is not None else step._replace(memory=Memory(step.dq))
+
+
+def call_own(owner: str, call: str, function: Callable[..., Any], *arguments: object) -> Any:
+    """Return the result of code of the user that runs in control loops, which then can hold and say why.
+
+    Args:
+        owner: the class of the object that is called, or the name of a function.
+        call: its method and arguments, for messages; empty for a function.
+        function: what is called.
+        arguments: its arguments.
+
+    Raises:
+        ControllerError: it raised an exception that is no `PostureError`; its cause is the exception.
+    """
+    try:
+        return function(*arguments)
+    except PostureError:
+        raise
+    except Exception as error:
+        raise ControllerError(owner, describe_exception(error), call) from error
 
 
 def describe_exception(error: Exception) -> str:
@@ -215,38 +233,91 @@ def describe_exception(error: Exception) -> str:
     return f"{words} ({Path(file).name}, line {line})"
 
 
-def _require_valid(controller: Controller, state: ArmState, step: Step) -> None:
+def _read_info(info: Mapping[str, Info]) -> Mapping[str, Info]:
+    return dict(info) if isinstance(info, Mapping) else info
+
+
+def _require_valid(name: str, state: ArmState, step: Step) -> None:
     """Raise InvalidValue unless the fields of a step have the right types and fit the arm."""
-    dq = step.dq
     active = step.active
     nv = state.arm.nv
-    if not (isinstance(dq, np.ndarray) and dq.shape == (nv,) and np.all(np.abs(dq) <= LARGEST_NUMBER)):
+    if not _is_displacement(step.dq, nv):
         allowed = f"an array of {nv} finite numbers, as `limits.apply(state, dq).dq`"
-        raise _invalid(controller, "dq", dq, allowed)
-    if not isinstance(active, tuple) or (
-        active and not 0 <= min(active) <= max(active) < state.arm.n_modules
-    ):
-        allowed = f"a tuple of control points from 0 to {state.arm.n_modules - 1}; () if none are active"
-        raise _invalid(controller, "active", active, allowed)
-    if step.clipped is not None and np.shape(step.clipped) != (nv,):
+        raise _invalid(name, "dq", step.dq, allowed)
+    points = range(state.arm.n_modules)
+    if not (isinstance(active, tuple) and all(is_whole(point) and point in points for point in active)):
+        allowed = f"a tuple of control points from 0 to {len(points) - 1}; () if none are active"
+        raise _invalid(name, "active", active, allowed)
+    if step.clipped is not None and not _is_mask(step.clipped, nv):
         allowed = f"{nv} times True or False, as `limits.apply(state, dq).clipped`; None if no joint was"
-        raise _invalid(controller, "clipped", step.clipped, allowed)
+        raise _invalid(name, "clipped", step.clipped, allowed)
     if not isinstance(step.reason, str):
-        raise _invalid(controller, "reason", step.reason, "text; empty if the arm moves")
+        raise _invalid(name, "reason", step.reason, "text; empty if the arm moves")
+    for field in ("error_increasing", "following_path"):
+        if not isinstance(getattr(step, field), bool | np.bool_):
+            raise _invalid(name, field, getattr(step, field), "True or False")
     for field in ("violated_constraints", "near"):
         texts = getattr(step, field)
         if not (isinstance(texts, tuple) and all(isinstance(text, str) for text in texts)):
-            raise _invalid(controller, field, texts, "a tuple of texts; () if there are none")
+            raise _invalid(name, field, texts, "a tuple of texts; () if there are none")
     if not isinstance(step.info, Mapping):
-        raise _invalid(controller, "info", step.info, 'a mapping, as {"sigma_min": 0.1}')
-    for name, value in step.info.items():
-        if not (isinstance(name, str) and name.isidentifier()):
-            raise _invalid(controller, "info (name)", name, "a name of letters, digits and underscores")
-        if np.asarray(value).dtype.kind not in "biufU":
-            raise _invalid(controller, f"info[{name!r}]", value, "a number, text, or an array of them")
-    if not (step.memory is None or isinstance(step.memory, Memory)):
-        raise _invalid(controller, "memory", step.memory, "a Memory(dq), or a class derived from it; or None")
+        raise _invalid(name, "info", step.info, 'a mapping, as {"sigma_min": 0.1}')
+    for key, value in step.info.items():
+        if not (isinstance(key, str) and key.isidentifier()):
+            raise _invalid(name, "info (name)", key, "a name of letters, digits and underscores")
+        _require_info(name, key, value)
+    _require_memory(name, step.memory, nv)
 
 
-def _invalid(controller: Controller, field: str, value: object, allowed: str) -> InvalidValue:
-    return InvalidValue(f"{type(controller).__name__}.step(...).{field}", value, allowed)
+def _require_info(name: str, key: str, value: Info) -> None:
+    """Raise InvalidValue unless a value is a number, text, or an array of them, none of them NaN."""
+    allowed = "a number, text, or an array of them, not NaN"
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of unequal lengths
+        raise _invalid(name, f"info[{key!r}]", value, allowed) from None
+    if array.dtype.kind not in "biufU" or (array.dtype.kind == "f" and np.isnan(array).any()):
+        raise _invalid(name, f"info[{key!r}]", value, allowed)
+
+
+def _require_memory(name: str, memory: object, nv: int) -> None:
+    """Raise InvalidValue unless it is a memory whose motion is that of an arm, or None."""
+    if memory is None:
+        return
+    if not isinstance(memory, Memory):
+        raise _invalid(name, "memory", memory, "a Memory(dq), or a class derived from it; or None")
+    own = vars(type(memory))
+    if "__init__" in own and "__dataclass_fields__" not in own:
+        raise _invalid(name, "memory", memory, "a Memory(dq), or a dataclass derived from it")
+    if not _is_displacement(memory.dq, nv):
+        raise _invalid(name, "memory.dq", memory.dq, f"the step, an array of {nv} finite numbers")
+    stopping = memory.stopping
+    if stopping is not None and not (
+        isinstance(stopping, np.ndarray)
+        and stopping.ndim == 2
+        and all(_is_displacement(row, nv) for row in stopping)
+    ):
+        raise _invalid(name, "memory.stopping", stopping, f"an array of steps, (k, {nv}), or None")
+
+
+def _is_displacement(value: object, nv: int) -> bool:
+    """Return whether a value is an array of finite numbers, (nv,)."""
+    return (
+        isinstance(value, np.ndarray)
+        and value.shape == (nv,)
+        and value.dtype.kind in "iuf"
+        and bool(np.all(np.abs(value) <= LARGEST_NUMBER))
+    )
+
+
+def _is_mask(value: object, nv: int) -> bool:
+    """Return whether a value is nv truth values."""
+    try:
+        mask = np.asarray(value)
+    except ValueError:
+        return False
+    return mask.shape == (nv,) and mask.dtype.kind == "b"
+
+
+def _invalid(name: str, field: str, value: object, allowed: str) -> InvalidValue:
+    return InvalidValue(f"{name}.step(...).{field}", value, allowed)

@@ -26,6 +26,7 @@ from pinposture.arm.arm import arm_of
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
 from pinposture.arm.specification import roll_pitch_yaw
+from pinposture.control.controller import OWN, call_own
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.schema import (
@@ -316,6 +317,24 @@ class ComparableTask:
             self._set("length", float(length))
 
 
+def rows_of(task: ControlTask, state: ArmState, target: Target) -> TaskRows:
+    """Return the rows of a task at a state; those of a task of the user are checked.
+
+    Raises:
+        InvalidValue: it does not return what `ControlTask.rows` should, or does not fit the arm.
+        UnknownName: it names a control point or joint that the arm does not have.
+        ControllerError: it raised an exception that is no `PostureError`.
+    """
+    if type(task).__module__.startswith(OWN):
+        return task.rows(state, target)
+    name = type(task).__name__
+    given = call_own(name, "rows(state, target)", task.rows, state, target)
+    if not (isinstance(given, tuple) and len(given) == 2):
+        raise InvalidValue(f"{name}.rows(...)", given, "TaskRows(jacobian, error), (r, nv) and (r,)")
+    jacobian = finite_array(f"{name}.rows(...), jacobian", given[0], (None, state.arm.nv))
+    return TaskRows(jacobian, finite_array(f"{name}.rows(...), error", given[1], (len(jacobian),)))
+
+
 @dataclass(frozen=True, eq=False)
 class Displaced(ComparableTask):
     """A task of an arm that is displaced from its state, as a measured arm that sags is from its command.
@@ -340,7 +359,7 @@ class Displaced(ComparableTask):
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return the rows of the task at the displaced state; see `ControlTask`."""
-        return self.task.rows(state.moved(self.offset).chain_state, target)
+        return rows_of(self.task, state.moved(self.offset).chain_state, target)
 
 
 def lever(arm: Arm, length: float | None) -> float:

@@ -291,7 +291,11 @@ class RecordedLoop(Loop):
         self.start_at(self.state.moved(dq))
         if self.filter.active:
             step = step._replace(dq=dq, error_increasing=self.record.error_rises_at(self.state))
-        self.record.append(self.state, step, self.limits.travel(self.state), target)
+        try:
+            self.record.append(self.state, step, self.limits.travel(self.state), target)
+        except InvalidValue as error:  # what the controller reports is not as before
+            name = f"{type(self.steps.controller).__name__}.step(...).{error.name}"
+            raise InvalidValue(name, error.value, error.allowed) from None
 
     def run(
         self, target: Target, tolerance: float, max_steps: int, callback: Callback | None = None

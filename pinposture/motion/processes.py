@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import cache, cached_property, lru_cache
-from itertools import islice
+from itertools import chain, islice
 from multiprocessing import Pipe, parent_process
 from multiprocessing.connection import Connection
 from multiprocessing.util import Finalize
@@ -19,6 +19,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, RLock, Thread
 from time import perf_counter
+from traceback import format_exception
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from joblib import Parallel, parallel_config, wrap_non_picklable_objects
@@ -62,12 +63,17 @@ class Shared(Generic[Value]):
         self.value = value
 
     @cached_property
-    def _packed(self) -> bytes:
+    def packed(self) -> bytes:
+        """The value, pickled; raises InvalidValue if it cannot be."""
         # Wrapped for cloudpickle: other processes cannot import controllers from scripts and notebooks.
-        return pickle.dumps(wrap_non_picklable_objects(self.value, keep_wrapper=False))
+        try:
+            return pickle.dumps(wrap_non_picklable_objects(self.value, keep_wrapper=False))
+        except Exception as error:  # anything, as objects of the user pickle themselves
+            allowed = f"objects that can be pickled ({type(error).__name__}: {error})"
+            raise InvalidValue("arguments for other processes", self.value, allowed) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _unpacked, (self._packed,)
+        return _unpacked, (self.packed,)
 
 
 @lru_cache(maxsize=4)
@@ -162,6 +168,10 @@ def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: b
             yield function(*positional, **named)
     if parent_process() is not None:
         _end_pool_with(os.getpid())
+    if jobs != 1 and get_active_backend()[0].supports_inner_max_num_threads:  # they are sent to processes
+        for each in chain.from_iterable(positional for _, positional, _ in tasks[:1]):
+            if isinstance(each, Shared):
+                _ = each.packed  # joblib would not say what cannot be pickled
     _open_streams()
     as_they_come = get_active_backend()[0].supports_return_generator
     with _one_thread_each():
@@ -222,6 +232,13 @@ class Interrupted(BaseException):
     """A call was interrupted. Handlers of `Exception` do not catch it."""
 
 
+class RemoteTraceback(Exception):
+    """The traceback of an exception in another process, as text; the cause of that exception here."""
+
+    def __str__(self) -> str:
+        return f"in another process\n{self.args[0]}"
+
+
 class _Line:
     """A process and the connection to it, used by the thread that talks to it.
 
@@ -233,6 +250,7 @@ class _Line:
         self.requests: SimpleQueue[tuple[Call, Future[Any]] | None] = SimpleQueue()
         self.ready = Event()
         self.interruptible = False
+        self.failure: Exception | None = None
         self._prepare = prepare
         self._start()
 
@@ -249,8 +267,12 @@ class _Line:
 
     def serve(self) -> None:
         """Make calls until there is None instead; start another process when this one has ended."""
-        with suppress(Exception):  # the calls themselves say what is wrong
+        try:
             self._make((self._prepare, ()))
+        except EOFError:  # another process starts for the first call
+            pass
+        except Exception as error:  # the constructor raises it
+            self.failure = error
         self.ready.set()
         while True:
             try:
@@ -282,12 +304,13 @@ class _Line:
         sent = pickle.dumps(call)
         try:
             self._connection.send_bytes(sent)
-            value, error = pickle.loads(self._connection.recv_bytes())
+            received = self._connection.recv_bytes()
         except (EOFError, OSError):
             raise EOFError from None
         self.interruptible = True
+        value, error, trace = pickle.loads(received)
         if error is not None:
-            raise error
+            raise error from RemoteTraceback(trace)
         return value
 
 
@@ -299,7 +322,8 @@ class BackgroundProcess:
     unpickled once.
 
     Args:
-        prepare: called in each new process before it makes calls; picklable.
+        prepare: called in each new process before it makes calls; picklable. What it raises in the first one,
+            the constructor raises.
     """
 
     def __init__(self, prepare: Callable[[], object] = int) -> None:
@@ -308,6 +332,8 @@ class BackgroundProcess:
         # The thread must not hold this object, which would then never be deleted.
         Thread(target=self._line.serve, name="pinposture-planner", daemon=True).start()
         self._line.ready.wait()
+        if self._line.failure is not None:
+            raise self._line.failure
 
     @property
     def pid(self) -> int:
@@ -373,17 +399,31 @@ def _answer_calls(connection: Connection) -> None:
     kernels.load()
     with suppress(EOFError, OSError), no_warnings():  # the caller has given them
         while True:
-            function, arguments = pickle.loads(connection.recv_bytes())
+            received = connection.recv_bytes()
             value: object = None
             error: BaseException | None = None
             try:
                 busy = True
                 try:
+                    function, arguments = pickle.loads(received)
                     value = function(*arguments)
-                except Exception as raised:  # `result` raises it
+                except (Exception, SystemExit) as raised:  # `result` raises it
                     error = raised
                 busy = False
             except Interrupted as raised:
                 value = None
                 error = raised
-            connection.send_bytes(pickle.dumps((value, error)))
+            connection.send_bytes(_packed_answer(value, error))
+
+
+def _packed_answer(value: object, error: BaseException | None) -> bytes:
+    """Return a result, or an exception and its traceback, pickled; in words if they cannot be."""
+    trace = "" if error is None else "".join(format_exception(error))
+    try:
+        answer = pickle.dumps((value, error, trace))
+        if error is not None:
+            pickle.loads(answer)  # some exceptions can be pickled, and not made again
+    except Exception as raised:
+        what = f"{type(value).__qualname__} cannot be sent ({raised})" if error is None else repr(error)
+        answer = pickle.dumps((None, RuntimeError(what), trace))
+    return answer

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from math import inf, isfinite
@@ -29,7 +30,7 @@ from pinposture.control.limits import POSITION_SLACK, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
-from pinposture.errors import InvalidValue, PostureError
+from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Hindrance
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
@@ -42,6 +43,8 @@ from pinposture.placement.points import with_configuration
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
 
 INTERFACES = ("position", "velocity")
 PLANNING = ("process", "thread")
@@ -125,6 +128,9 @@ class Tracker:
     It never extrapolates the target: without one, with one older than `timeout`, without a measurement, or
     with an implausible one, it brakes within its limits and holds, and `report` gives the reason. If it has a
     measurement, it evades meanwhile obstacles that approach, or to which the measured arm lost the margin.
+
+    If a controller, constraint or task of yours raises an exception, or returns what it should not, the arm
+    brakes and holds as well; `report` names it, and the log has the traceback.
 
     The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
     would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
@@ -528,7 +534,10 @@ class Tracker:
         try:
             step = self._loop.compute(aim)
         except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
-            return None, str(error)  # unusable input, such as a target without a configuration
+            reason = str(error)  # unusable input, such as a target without a configuration
+            if isinstance(error, ControllerError) and not self.report.reason.startswith(reason):
+                logger.warning("the arm holds: %s", reason, exc_info=error)
+            return None, reason
         if step is None:
             return None, NOT_DONE
         if not isfinite(step.dq @ step.dq):

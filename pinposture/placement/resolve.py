@@ -11,9 +11,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import as_number, finite_vector, require_instance, require_known, require_whole
+from pinposture._validation import as_number, require_instance, require_known, require_whole
 from pinposture.arm import Arm
-from pinposture.arm.module_kinematics import ModuleKinematics
+from pinposture.arm.module_kinematics import ModuleKinematics, end_of, point_after, positions_for
 from pinposture.curve import Curve
 from pinposture.errors import (
     CurveBendsTooMuch,
@@ -256,20 +256,16 @@ class Walk:
         lower = arm.limits.lower[columns]
         upper = arm.limits.upper[columns]
         for _ in range(MAX_ASKED):
-            following = kinematics.target_point(base, self._curve, s)
+            following = point_after(kinematics, base, self._curve, s)
             if following is None:
                 break
-            if not s < following <= self._curve.length * (1.0 + 1e-12):
-                allowed = f"an arc length above {s:.6g} m, at most {self._curve.length:.6g} m, or None"
-                raise InvalidValue(f"{name}.target_point", following, allowed)
-            s = float(following)
+            s = following
             p = base.rotation.T @ (np.asarray(self._curve.at(s)) - base.translation)
-            for each in kinematics.inverse(p):
-                q = finite_vector(f"{name}.inverse", each, kinematics.dof)
-                away = float(np.linalg.norm(np.asarray(kinematics.forward(q)[0]) - p))
+            for q in positions_for(kinematics, p):
+                away = float(np.linalg.norm(end_of(kinematics, q)[0] - p))
                 if away > OWN_TOLERANCE * kinematics.reach:
                     allowed = f"positions whose forward is the point; it is {length_text(away)} off"
-                    raise InvalidValue(f"{name}.inverse", q.tolist(), allowed)
+                    raise InvalidValue(f"{name}.inverse(p)", q.tolist(), allowed)
                 if np.all((q >= lower - OWN_TOLERANCE) & (q <= upper + OWN_TOLERANCE)):
                     return s, np.clip(q, lower, upper)
         return self._no_place(unit, base, False)

@@ -223,9 +223,18 @@ def simulate_closed(
     if tolerance is not None:
         require_positive("tolerance", tolerance)
     start = arm.checked_start(q0, "q0")
-    at = (lambda _: targets) if isinstance(targets, Target) else targets
-    if not callable(at):
+    if not (isinstance(targets, Target) or callable(targets)):
         raise InvalidValue("targets", targets, "a Target, or a function of time [s] that returns one")
+    for method in ("update", "step"):
+        if isinstance(tracker, type) or not callable(getattr(tracker, method, None)):
+            raise InvalidValue("tracker", tracker, "a Tracker, or an object with `update`, `step`, `command`")
+
+    def at(time: float) -> Target:
+        target = targets if isinstance(targets, Target) else targets(time)
+        require_instance(f"targets({time:.6g})", target, Target, "a Target")
+        target.check_arm(arm)
+        return target
+
     drives = arm.drives
     begin = arm.positions(start)
     command = start
@@ -245,7 +254,7 @@ def simulate_closed(
         if arrived:  # until the first measurement arrives, the servos hold the start
             q = None if measured is None else arm.configuration(drives.joint_positions(measured))
             tracker.step(q, dt)
-            following = arm.checked(tracker.command, "tracker.command")
+            following = arm.checked(tracker.command, f"{type(tracker).__name__}.command")
             positions = positions + drives.velocities(arm.difference(command, following))
             command = following
         if not recording.advance(positions, at(done * dt)):

@@ -271,5 +271,38 @@ def test_a_mesh_that_is_placed_already_is_refused():
         def build(self) -> pp.Mesh:
             return super().build().placed((0.0, 0.0, 1.0))
 
-    with pytest.raises(InvalidValue, match=r"center of build\(\) of a cone"):
+    with pytest.raises(InvalidValue, match=r"Placed\.build\(\), center is"):
         _ = Placed((0, 0, 0), 0.1, 0.2).geometry
+
+
+@pytest.mark.parametrize("built", [None, 3, np.zeros((4, 3)), pp.Sphere((0, 0, 0), 0.1)])
+def test_what_is_built_is_a_mesh(built):
+    kind = type("Odd", (Cone,), {"build": lambda self: built})
+    with pytest.raises(InvalidValue, match=r"^Odd\.build\(\) is .*allowed: a Mesh"):
+        _ = pp.Scene({"odd": kind((0, 0, 0), 0.1, 0.2)}).obstacles["odd"].geometry
+
+
+def test_a_mesh_that_is_none_names_the_type_that_builds_it():
+    kind = type("Odd", (Cone,), {"build": lambda self: pp.Mesh(np.full((4, 3), np.nan))})
+    with pytest.raises(InvalidValue, match=r"^Odd\.build\(\), vertices is"):
+        _ = kind((0, 0, 0), 0.1, 0.2).geometry
+    flat = type("Flat", (Cone,), {"build": lambda self: pp.Mesh(np.eye(3))})
+    with pytest.raises(InvalidValue, match=r"^Flat\.build\(\), vertices is .*flat"):
+        _ = flat((0, 0, 0), 0.1, 0.2).geometry
+
+
+def test_what_a_type_raises_is_raised():
+    kind = type("Odd", (Cone,), {"build": lambda self: {}["height"]})
+    with pytest.raises(KeyError, match="height"):
+        _ = kind((0, 0, 0), 0.1, 0.2).geometry
+
+
+def test_a_type_without_a_mesh_says_so():
+    @declared()
+    class Empty(MeshShape):
+        type: ClassVar[str] = "empty"
+        center: Point
+        rotation: Turn = UNTURNED
+
+    with pytest.raises(InvalidValue, match=r"Empty\.build is 'not defined'"):
+        _ = Empty((0, 0, 0)).geometry

@@ -17,7 +17,7 @@ from pinposture.control import (
     section_indices,
 )
 from pinposture.control.thesis.sections import best_chain
-from pinposture.errors import InvalidValue
+from pinposture.errors import ControllerError, InvalidValue
 
 
 def case(name: str, modules: int, seed: int) -> tuple[pp.Arm, pp.ArmState, pp.Target]:
@@ -95,6 +95,21 @@ def test_methods_take_them(method: type) -> None:
         step = method(null_objective=objective).step(state, target)
         assert np.all(np.isfinite(step.dq))
         assert np.abs(step.dq - plain.dq).max() > 0.0
+
+
+def divided(state, target):
+    return 1.0 / 0.0
+
+
+@pytest.mark.parametrize("method", [Selection, Projection])
+def test_mistakes_in_an_objective_of_the_user_name_it(method: type) -> None:
+    arm, state, target = case("RyRz", 8, 2)
+    with pytest.raises(ControllerError, match=r"^divided raised ZeroDivisionError: .*test_null_space\.py"):
+        pp.track(arm, target, state.q, method(null_objective=divided))
+    for wrong in (None, np.zeros(3), np.full(arm.nv, np.nan), "down"):
+        objective = method(null_objective=lambda *_, given=wrong: given)
+        with pytest.raises(InvalidValue, match=r"null_objective .*<lambda>\(state, target\)"):
+            pp.track(arm, target, state.q, objective)
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pickle
 import re
+import traceback
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import CONTROLLERS, Memory, Step, controller_named, registry
+from pinposture.control.controller import step_within
 from pinposture.errors import ControllerError, InvalidValue, UnknownName
 
 MODULE = """
@@ -35,6 +38,8 @@ class Picky(Still):
 
 NUMBER = 3
 """
+
+LIMITS = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0)
 
 
 @dataclass(frozen=True)
@@ -139,6 +144,23 @@ def test_a_name_can_be_added_and_a_package_can_bring_one(folder, monkeypatch):
         (Step(np.zeros(8), None), "active is not given.*0 to 3"),
         (Step(np.zeros(8), (4,)), r"active is \(4,\)"),
         (Step(np.zeros(8), memory={"dq": 0}), "memory is {'dq': 0}.*Memory"),
+        (Step(np.full(8, "a")), "dq.*8 finite numbers"),
+        (Step(np.full(8, None)), "dq.*8 finite numbers"),
+        (Step(np.zeros(8, dtype=complex)), "dq.*8 finite numbers"),
+        (Step(np.zeros(8, dtype=bool)), "dq.*8 finite numbers"),
+        (Step(np.zeros(8), (0.5,)), r"active is \(0\.5,\)"),
+        (Step(np.zeros(8), ("tip",)), r"active is \('tip',\)"),
+        (Step(np.zeros(8), (True,)), r"active is \(True,\)"),
+        (Step(np.zeros(8), clipped=np.zeros(8)), "clipped.*8 times True or False"),
+        (Step(np.zeros(8), clipped=[[True], True]), "clipped.*8 times True or False"),
+        (Step(np.zeros(8), error_increasing=np.zeros(8)), "error_increasing.*True or False"),
+        (Step(np.zeros(8), following_path=None), "following_path is not given.*True or False"),
+        (Step(np.zeros(8), info={"how": np.nan}), r"info\['how'\] is nan.*not NaN"),
+        (Step(np.zeros(8), info={"how": [[1.0], 2.0]}), r"info\['how'\].*an array"),
+        (Step(np.zeros(8), info={"how": lambda: 1.0}), r"info\['how'\].*a number"),
+        (Step(np.zeros(8), memory=Memory(np.zeros(3))), r"memory\.dq.*an array of 8"),
+        (Step(np.zeros(8), memory=Memory([0.0] * 8)), r"memory\.dq.*an array of 8"),
+        (Step(np.zeros(8), memory=Memory(np.zeros(8), np.zeros(8))), r"memory\.stopping.*\(k, 8\)"),
     ],
 )
 def test_a_step_that_is_none_is_refused_with_what_was_allowed(arm, returned, words):
@@ -170,6 +192,98 @@ def test_an_exception_in_a_step_names_the_controller_and_the_place(arm):
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
     with pytest.raises(ControllerError, match=words):
         pp.track_many(arm, target, arm.straight(), Failing(), jobs=1)
+
+
+def test_values_that_are_computed_later_are_part_of_the_step(arm):
+    class Lazy:
+        name = "lazy"
+
+        def step(self, state, target, limits=None, memory=None):
+            return step_within(limits.apply(state, np.zeros(8)), info={"share": lambda: 1.0 / 0.0})
+
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    words = r"^Lazy\.step\(\.\.\.\)\.info raised ZeroDivisionError"
+    with pytest.raises(ControllerError, match=words):
+        pp.track(arm, target, arm.straight(), Lazy())
+
+
+def test_what_is_reported_must_be_like_before(arm):
+    class Changing:
+        name = "changing"
+
+        def step(self, state, target, limits=None, memory=None):
+            return Step(np.full(8, 0.01), info={"share": 1.0 if memory is None else [1.0, 2.0]})
+
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    with pytest.raises(InvalidValue, match=r"^Changing\.step\(\.\.\.\)\.info\['share'\].*as before"):
+        pp.track(arm, target, arm.straight(), Changing())
+
+
+def test_a_memory_that_cannot_be_carried_on_is_refused(arm):
+    class Kept(Memory):
+        def __init__(self, dq, count):
+            super().__init__(dq)
+            object.__setattr__(self, "count", count)
+
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    returning = Returning(Step(np.full(8, 0.01), memory=Kept(np.full(8, 0.01), 1)))
+    with pytest.raises(InvalidValue, match=r"memory is.*a dataclass derived from it"):
+        pp.track(arm, target, arm.straight(), returning, max_steps=2)
+
+
+@pytest.mark.parametrize("deadline", [np.inf, 30.0])
+@pytest.mark.parametrize("returned", [None, Step(np.full(8, np.nan))])
+def test_a_control_loop_holds_and_names_what_a_controller_returned(arm, deadline, returned):
+    tracker = pp.Tracker(arm, Returning(returned), LIMITS, deadline=deadline, planning="thread")
+    tracker.update(pp.Target.from_configuration(arm, np.full(arm.nq, 0.2)))
+    assert not np.any(tracker.step(arm.straight()))
+    assert tracker.report.status == "holding" and "Returning.step(...)" in tracker.report.reason
+
+
+@pytest.mark.parametrize("deadline", [np.inf, 30.0])
+def test_a_control_loop_holds_and_logs_where_a_controller_failed(arm, deadline, caplog):
+    tracker = pp.Tracker(arm, Failing(), LIMITS, deadline=deadline, planning="thread")
+    tracker.update(pp.Target.from_configuration(arm, np.full(arm.nq, 0.2)))
+    for _ in range(3):
+        assert not np.any(tracker.step(arm.straight()))
+    assert tracker.report.status == "holding" and "Failing.step(...) raised" in tracker.report.reason
+    logged = [each for each in caplog.records if each.name == "pinposture.motion.tracker"]
+    assert len(logged) == 1  # not in every cycle
+    assert "values[0] / values[1]" in caplog.text and "ZeroDivisionError" in caplog.text
+
+
+@pytest.mark.long
+def test_an_exception_in_another_process_comes_with_its_traceback(arm):
+    targets = [pp.Target.from_configuration(arm, np.full(arm.nq, 0.02 * k)) for k in range(6)]
+    with pytest.raises(ControllerError, match=r"^Late\.step\(\.\.\.\) raised ZeroDivisionError") as caught:
+        pp.track_many(arm, targets, arm.straight(), Late(), jobs=2)
+    told = "".join(traceback.format_exception(caught.value))
+    assert "return 1.0 / 0.0" in told
+
+
+def test_a_controller_that_other_processes_cannot_have_is_named(arm):
+    @dataclass(frozen=True)
+    class Locked:
+        lock: object
+        name: str = "locked"
+
+        def step(self, state, target, limits=None, memory=None):
+            return Step(np.full(8, 0.01))
+
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    with pytest.raises(InvalidValue, match=r"controller=.*can be pickled"):
+        pp.track_many(arm, [target] * 4, arm.straight(), Locked(Lock()), jobs=2, max_steps=2)
+
+
+class Late:
+    """Fails where the target is another, in processes that get the later runs."""
+
+    name = "late"
+
+    def step(self, state, target, limits=None, memory=None):
+        if target.points[-1, 0] < state.arm.length - 1e-6:
+            return 1.0 / 0.0
+        return Step(np.zeros(8), reason="it is there")
 
 
 def test_a_step_may_leave_its_memory_out(arm):

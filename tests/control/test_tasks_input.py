@@ -12,10 +12,69 @@ from task_arms import state_of, target_of
 
 import pinposture as pp
 from pinposture.control import EndEffector, JointPosture, Tangents
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import ControllerError, InvalidValue, UnknownName
 
 MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0])
 POINT = (0.1, 0.2, 0.3)
+
+
+class Lifted:
+    """A task of the user: the tip has a height; `returned` stands for its rows if it is given."""
+
+    priority = False
+
+    def __init__(self, returned=None, weight=1.0):
+        self.returned = returned
+        self.weight = weight
+
+    def rows(self, state, target):
+        if self.returned is not None:
+            return self.returned(state.arm.nv) if callable(self.returned) else self.returned
+        return state.jacobians[-1, 2:], [0.05 - state.points[-1, 2]]
+
+
+def test_a_task_of_the_user_is_kept():
+    arm = pp.Arm.from_template("RyRz", 6)
+    target = pp.Target.from_configuration(arm, np.full(12, 0.1))
+    high = type("High", (Lifted,), {"priority": True})()
+    run = pp.track(arm, target, arm.straight(), pp.Geodesic(tasks=(high,)), max_steps=60)
+    assert arm.at(run.q[-1]).points[-1, 2] == pytest.approx(0.05, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        (3, r"Lifted\.rows\(\.\.\.\) is 3; allowed: TaskRows"),
+        (np.zeros((1, 12)), r"Lifted\.rows\(\.\.\.\) is array"),
+        (lambda nv: (np.zeros((1, nv - 1)), [0.0]), r"Lifted\.rows\(\.\.\.\), jacobian \(shape\)"),
+        (lambda nv: (np.full((1, nv), np.nan), [0.0]), r"Lifted\.rows\(\.\.\.\), jacobian\[0, 0\] is nan"),
+        (lambda nv: (np.zeros((1, nv)), [0.0, 1.0]), r"Lifted\.rows\(\.\.\.\), error \(shape\)"),
+        (lambda nv: (np.zeros((1, nv)), ["high"]), r"Lifted\.rows\(\.\.\.\), error"),
+    ],
+)
+def test_what_a_task_of_the_user_returns_is_checked_and_named(returned, words):
+    arm = pp.Arm.from_template("RyRz", 6)
+    target = pp.Target.from_configuration(arm, np.full(12, 0.1))
+    with pytest.raises(InvalidValue, match=words):
+        pp.track(arm, target, arm.straight(), pp.Geodesic(tasks=(Lifted(returned),)))
+
+
+def test_an_exception_in_a_task_of_the_user_names_it_and_its_line():
+    arm = pp.Arm.from_template("RyRz", 6)
+    target = pp.Target.from_configuration(arm, np.full(12, 0.1))
+    controller = pp.Geodesic(tasks=(Lifted(lambda nv: 1 / 0),))
+    words = r"^Lifted\.rows\(state, target\) raised ZeroDivisionError: .*\(test_tasks_input\.py, line \d+\)$"
+    with pytest.raises(ControllerError, match=words) as caught:
+        pp.track(arm, target, arm.straight(), controller)
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+@pytest.mark.parametrize(("weight", "priority"), [("big", False), (np.nan, False), (0.0, False), (1.0, 3)])
+def test_weight_and_priority_of_a_task_of_the_user_are_checked(weight, priority):
+    task = type("Lifted", (Lifted,), {"priority": priority})(weight=weight)
+    with pytest.raises(InvalidValue, match=r"Lifted\.(weight|priority) is"):
+        pp.Geodesic(tasks=(task,))
+
 
 REFUSED = [
     (EndEffector, "position and pose"),

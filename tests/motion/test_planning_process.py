@@ -5,6 +5,7 @@ import pickle
 import signal
 import threading
 import time
+import traceback
 import warnings
 
 import numpy as np
@@ -327,3 +328,95 @@ def test_a_plan_for_an_outdated_target_is_interrupted_but_not_the_one_after_it(a
 def test_where_to_plan_is_checked(arm: pp.Arm) -> None:
     with pytest.raises(UnknownName, match="planning"):
         pp.Tracker(arm, limits=LIMITS, deadline=0.002, planning="elsewhere")
+
+
+class Faulty:
+    """A constraint that fails in the process that plans, away from this one."""
+
+    name = "faulty"
+
+    def __init__(self, home: int) -> None:
+        self.home = home
+
+    def rows(self, state: object) -> object:
+        if os.getpid() == self.home:
+            return np.zeros((1, state.arm.nv)), [-1.0], [1.0]
+        return 1.0 / 0.0
+
+
+@pytest.mark.long
+def test_what_fails_in_the_process_reaches_the_loop_with_its_traceback(
+    arm: pp.Arm, caplog: pytest.LogCaptureFixture
+) -> None:
+    controller = pp.Geodesic(constraints=(Faulty(os.getpid()),))
+    tracker = pp.Tracker(arm, controller, LIMITS, deadline=0.002)
+    tracker.update(
+        pp.Target.from_configuration(arm, smooth_configuration(arm, np.random.default_rng(1), 0.8))
+    )
+    end = time.monotonic() + PATIENCE
+    while "faulty" not in tracker.report.reason and time.monotonic() < end:
+        tracker.step(arm.straight())
+        time.sleep(0.001)
+    assert tracker.report.status == "holding"
+    assert "faulty.rows(state) raised ZeroDivisionError" in tracker.report.reason
+    assert "return 1.0 / 0.0" in caplog.text
+
+
+class Unread:
+    """It can be pickled, and not be made again."""
+
+    def __init__(self, wanted: str) -> None:
+        self.wanted = wanted
+
+    def __reduce__(self) -> tuple:
+        return (unreadable, ())
+
+
+def unreadable() -> None:
+    raise LookupError("it is not here")
+
+
+def fail(error: BaseException) -> None:
+    raise error
+
+
+class Unsendable(Exception):
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__("more than one")
+        self.lock = threading.Lock()
+
+
+@pytest.mark.long
+def test_every_exception_of_a_call_comes_back() -> None:
+    process = BackgroundProcess()
+    pid = process.pid
+    for call, kind, words in (
+        ((fail, LookupError("mine")), LookupError, "mine"),
+        ((fail, SystemExit(3)), SystemExit, "3"),
+        ((raise_unsendable,), RuntimeError, "Unsendable"),
+        ((threading.Lock,), RuntimeError, "lock cannot be sent"),
+        ((str, Unread("x")), LookupError, "it is not here"),
+    ):
+        process.submit(*call)
+        with pytest.raises(kind, match=words) as caught:
+            process.result()
+        if call[0] is not threading.Lock:
+            told = "".join(traceback.format_exception(caught.value))
+            assert "in another process" in told and "raise" in told
+    process.submit(pow, 2, 5)
+    assert process.result() == 32
+    assert process.pid == pid  # it lives on
+
+
+def raise_unsendable() -> None:
+    raise Unsendable(1, 2)
+
+
+@pytest.mark.long
+def test_what_the_process_cannot_prepare_or_have_is_told_at_once(arm: pp.Arm) -> None:
+    with pytest.raises(LookupError, match="it is not here"):
+        BackgroundProcess(unreadable)
+    held = Faulty(os.getpid())
+    held.lock = threading.Lock()
+    with pytest.raises(pp.PostureError, match="can be pickled"):
+        pp.Tracker(arm, pp.Geodesic(constraints=(held,)), LIMITS, deadline=0.002)

@@ -281,6 +281,64 @@ def test_kinematics_that_contradict_themselves_are_refused(registered: Callable,
         pp.resolve_targets(arm, HELIX, placement="align")
 
 
+WRONG = {
+    "forward": [
+        None,
+        3,
+        "here",
+        np.zeros(3),
+        (np.zeros(2), np.eye(3)),
+        (np.zeros(3), np.full((3, 3), np.nan)),
+    ],
+    "inverse": [None, 3, "here", [np.zeros(3)], [None], [np.array([np.nan, 0.0])], ["ab"]],
+    "target_point": ["far", np.nan, [0.1], True, 1e9, 1.0 + 1.0j],
+    "dof": [None, "2", 2.0, np.ones(2)],
+    "reach": [None, "long", np.nan, -1.0, 0.0, np.ones(2)],
+    "tolerance": [None, "small", np.nan, -1e-3],
+}
+"""What methods and attributes of kinematics must not return."""
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, each) for name in WRONG for each in WRONG[name]])
+def test_what_kinematics_return_is_checked_and_named(registered: Callable, name: str, value: object) -> None:
+    arm = of(3, "y", "z", lengths=(0.02, 0.03))
+    good = own()
+
+    def recognise(joints: ModuleJoints) -> ModuleKinematics | None:
+        found = good(joints)
+        if found is not None:
+            wrong = (lambda self, *_: value) if name in ("forward", "inverse", "target_point") else value
+            found = type("Broken", (Own,), {name: wrong})(found.torus)
+            if name == "dof":
+                object.__setattr__(found, "dof", value)
+        return found
+
+    registered(recognise)
+    with pytest.raises(InvalidValue, match=rf"(Broken\.|recognise: ){name}") as caught:
+        pp.resolve_targets(arm, gentle(arm), placement="align")
+    assert "allowed" in str(caught.value)
+
+
+@pytest.mark.parametrize("call", ["forward", "inverse", "target_point", "recognise"])
+def test_what_kinematics_raise_is_raised(registered: Callable, call: str) -> None:
+    arm = of(3, "y", "z", lengths=(0.02, 0.03))
+    good = own()
+
+    def fail(*_: object) -> None:
+        raise LookupError("mine")
+
+    def recognise(joints: ModuleJoints) -> ModuleKinematics | None:
+        found = good(joints)
+        if call == "recognise":
+            fail()
+        return found and type("Broken", (Own,), {call: fail})(found.torus)
+
+    registered(recognise)
+    with pytest.raises(LookupError, match="mine") as caught:
+        pp.resolve_targets(arm, gentle(arm), placement="align")
+    assert caught.traceback[-1].name == "fail"
+
+
 def test_kinematics_that_approximate_say_by_how_much(registered: Callable) -> None:
     @dataclass(frozen=True)
     class Rough(Own):

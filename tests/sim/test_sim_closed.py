@@ -162,9 +162,26 @@ def test_what_makes_no_loop_is_refused(options, name):
         run(Follower(six_modules(), 0.1), **options)
 
 
+@pytest.mark.parametrize("wrong", [None, 3, "helix", pp.Curve.line((0, 0, 0), (1, 0, 0))])
+def test_what_a_function_of_targets_returns_is_checked(wrong):
+    with pytest.raises(InvalidValue, match=r"targets\(0\.02\).*a Target"):
+        run(Follower(six_modules(), 0.1), targets=lambda time: bent() if time < 0.01 else wrong)
+
+
+def test_what_a_function_of_targets_raises_is_raised():
+    with pytest.raises(ZeroDivisionError):
+        run(Follower(six_modules(), 0.1), targets=lambda time: 1.0 / time)
+
+
+@pytest.mark.parametrize("tracker", [None, 3, Follower, object()])
+def test_what_is_no_controller_in_a_loop_is_refused(tracker):
+    with pytest.raises(InvalidValue, match=r"tracker .*`update`, `step`"):
+        run(tracker)
+
+
 def test_a_command_that_is_none_is_refused():
     follower = Follower(six_modules(), np.nan)
-    with pytest.raises(InvalidValue, match=r"tracker\.command"):
+    with pytest.raises(InvalidValue, match=r"Follower\.command"):
         run(follower)
 
 

@@ -42,7 +42,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
-from pinposture.control.tasks import Displaced
+from pinposture.control.tasks import Displaced, rows_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
@@ -811,7 +811,7 @@ def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
     """Name the tasks that are not met, and say whether the target posture is missed."""
     left = []
     for task in objective.tasks:
-        error = float(np.linalg.norm(task.rows(bounds.state, objective.target).error))
+        error = float(np.linalg.norm(rows_of(task, bounds.state, objective.target).error))
         kind = type(task.task if isinstance(task, Displaced) else task)
         left.append(f"{kind.__name__} by {length_text(error)}")
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""

@@ -17,7 +17,7 @@ from pinposture.arm import Arm, ChainState
 from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.control.constraint import Constraint, check_constraints
 from pinposture.control.controller import task_errors
-from pinposture.control.tasks import ControlTask
+from pinposture.control.tasks import ControlTask, rows_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import PointObjective
 from pinposture.placement import Target
@@ -225,7 +225,7 @@ class Objective:
         errors = []
         for task in self.tasks:
             if task.priority == priority:
-                rows = task.rows(state, self.target)
+                rows = rows_of(task, state, self.target)
                 root = float(np.sqrt(task.weight))
                 matrices.append(root * rows.jacobian[:, self.columns] * self.units)
                 errors.append(root * rows.error)
@@ -309,6 +309,10 @@ def check_objective(
     for task in tasks:
         if isinstance(task, type) or not callable(getattr(task, "rows", None)):
             raise InvalidValue("tasks", task, "EndEffector(...), Tangents(...) or JointPosture(...)")
+        require_positive(f"{type(task).__name__}.weight", getattr(task, "weight", None))  # type: ignore[arg-type]
+        priority = getattr(task, "priority", None)
+        if not isinstance(priority, bool | np.bool_):
+            raise InvalidValue(f"{type(task).__name__}.priority", priority, "True or False")
 
 
 class ConstrainedStep(NamedTuple):

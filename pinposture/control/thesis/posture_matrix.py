@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.control.controller import Info
+from pinposture.control.controller import Info, call_own
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, LOCAL, Factors, Rows, Screws
 from pinposture.placement import Target
@@ -137,7 +137,9 @@ def null_motion(
     """
     if objective is None:
         return descent(state.arm, screws, errors, np.sqrt(np.einsum("ij,ij->i", errors, errors)))
-    return finite_vector("null_objective(state, target)", objective(state, target), state.arm.nv)
+    name = getattr(objective, "__qualname__", type(objective).__qualname__)
+    found = call_own(name, "", objective, state, target)
+    return finite_vector(f"null_objective {name}(state, target)", found, state.arm.nv)
 
 
 def aligned_errors(state: ArmState, target: Target) -> Array:
