@@ -22,13 +22,15 @@ FOLLOWS = (0.5, 0.1)
 """Ratio and offset [rad or m] of coupled joints."""
 
 
-def couple(arm: pp.Arm) -> pp.Arm:
-    """The same arm, in which the first joint of the second module follows that of the first."""
-    if arm.couplings:  # by its template
+def couple(arm: pp.Arm, coupling: str) -> pp.Arm:
+    """The same arm, in which the first joint of one module follows that of another."""
+    if arm.couplings or coupling == "free":  # by its template
         return arm
-    leader = arm.joint_names[0]
-    follower = arm.joint_names[arm.nv // arm.n_modules]
-    return pp.Arm.load(arm.urdf, couplings={follower: (leader, *FOLLOWS)})
+    first = arm.joint_names[0]
+    second = arm.joint_names[arm.nv // arm.n_modules]
+    if coupling == "driven from behind":  # the drive is not that of the joint that leads in the arm
+        return pp.Arm.load(arm.urdf, couplings={first: (second, -FOLLOWS[0], FOLLOWS[1])})
+    return pp.Arm.load(arm.urdf, couplings={second: (first, *FOLLOWS)})
 
 
 def write_all(arm: pp.Arm, folder: Path) -> dict[str, Any]:
@@ -104,7 +106,8 @@ def say(result: Any) -> dict[str, np.ndarray]:
         return {"rows": reference.offsets, **_kinematics(result.arm, reference.start)}
     if isinstance(result, pp.Tracker):
         result.update(pp.Target.from_configuration(result.arm, result.arm.neutral()))
-        return {"step": result.step(result.arm.neutral()), "command": result.command}
+        step = result.step(result.arm.neutral())
+        return {"step": step, "command": result.command, "sent": result.positions}
     if isinstance(result, pp.Arm):
         return _kinematics(result, result.random(0))
     if isinstance(result, pp.Scene):
@@ -123,6 +126,7 @@ def _kinematics(arm: pp.Arm, q: np.ndarray) -> dict[str, np.ndarray]:
     return {
         "names": np.array(arm.joint_names),
         "couplings": np.array([f"{each}" for each in arm.couplings]),
+        "drives": np.array([f"{each}" for each in arm.drives]),
         "lower": arm.limits.lower,
         "upper": arm.limits.upper,
         "all positions": arm.positions(q),

@@ -100,11 +100,11 @@ def test_links_in_a_circle_are_refused_and_stay(tmp_path: Path) -> None:
 
 @pytest.mark.process
 @pytest.mark.filterwarnings("ignore::pinposture.errors.PostureWarning")
-@pytest.mark.parametrize("coupled", [False, True], ids=["free", "coupled"])
+@pytest.mark.parametrize("coupling", ["free", "coupled", "driven from behind"])
 @pytest.mark.parametrize("name", TEMPLATES)
-def test_another_process_reads_all_that_was_saved(name: str, coupled: bool, tmp_path: Path) -> None:
+def test_another_process_reads_all_that_was_saved(name: str, coupling: str, tmp_path: Path) -> None:
     arm = pp.Arm.from_template(name, modules=4)
-    written = reloaded.write_all(reloaded.couple(arm) if coupled else arm, tmp_path)
+    written = reloaded.write_all(reloaded.couple(arm, coupling), tmp_path)
     subprocess.run([sys.executable, reloaded.__file__, str(tmp_path)], check=True)
     for file, original in written.items():
         expected = reloaded.say(original)

@@ -524,6 +524,8 @@ class JointTrajectory:
     def compensated(self, arm: Arm) -> JointTrajectory:
         """Return the commands for which the loaded arm makes this motion: `Arm.compensate` of each row.
 
+        They are those of the joints that drives move, as `driven`.
+
         Velocities and accelerations change by those of the difference, from and to rest.
 
         Args:
@@ -534,10 +536,12 @@ class JointTrajectory:
             WeightUnknown: masses or a stiffness that are not known.
             InvalidValue: joints of another arm, or a joint whose command would be outside its limits.
         """
-        moved = self.matched(arm)
-        rows = np.array([arm.configuration(row) for row in moved.positions])
+        moved = self.driven(arm)
+        positions = arm.drives.joint_positions(moved.positions)
+        rows = np.array([arm.configuration(row) for row in positions])
         commands = arm.compensate(rows)
-        change = np.array([arm.difference(*pair) for pair in zip(rows, commands, strict=True)])
+        sagged = [arm.difference(*pair) for pair in zip(rows, commands, strict=True)]
+        change = arm.drives.velocities(np.array(sagged))
         velocities, accelerations = compute_rates(moved.time, change)
         return replace(
             moved,

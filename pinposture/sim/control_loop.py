@@ -159,7 +159,8 @@ def simulate(
     sent = asked
     targets: list[Target | None] = [None] * len(asked)
     if compensate:
-        sent = np.pad(timed.compensated(arm).positions, ((0, held), (0, 0)), mode="edge")
+        commands = timed.compensated(arm).matched(arm).positions
+        sent = np.pad(commands, ((0, held), (0, 0)), mode="edge")
         # As the set points, which are halfway between two rows at the end of a cycle.
         between = np.concatenate([asked[:1], (asked[1:] + asked[:-1]) / 2.0])
         targets = [Target.from_configuration(arm, arm.configuration(row)) for row in between]

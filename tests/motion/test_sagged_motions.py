@@ -61,3 +61,13 @@ def test_a_motion_in_time_is_sent_as_the_commands_against_sag() -> None:
     plain = motion.joint_trajectory()
     assert sent.time.tolist() == plain.time.tolist()
     np.testing.assert_allclose(arm.sag(sent.positions), plain.positions, atol=1e-9)
+
+
+def test_commands_against_sag_are_those_of_the_joints_that_drives_move() -> None:
+    text = template_arm("RyRz", 4).urdf
+    arm = pp.Arm.load(text, couplings={"m01_j1_y": ("m02_j1_y", -0.5, 0.1)}).with_stiffness(30.0)
+    q = np.linspace(0.0, 0.2, 5)[:, None] * np.ones(arm.nv)
+    sent = pp.JointTrajectory.from_configurations(arm, q, 0.1).compensated(arm)
+    assert sent.joint_names[0] == "m02_j1_y"
+    np.testing.assert_allclose(arm.sag(sent.configurations(arm)), q, atol=1e-9)
+    assert np.abs(sent.configurations(arm) - q).max() > 1e-3
