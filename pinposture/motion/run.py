@@ -599,39 +599,54 @@ class Run(Outcome):
         Args:
             dt: duration of a step [s]; that of the limits if None.
             force: True to return it despite its `faults`.
-            compensate: True for the commands for which the loaded arm makes this run: `Arm.compensate`.
+            compensate: True for the commands for which the loaded arm makes this run: `Arm.compensate`. They
+                move more than the arm; steps take as much longer as they need to keep its limits.
 
         Raises:
-            MotionError: it has faults, or these commands exceed its limits.
+            MotionError: it has faults.
             InvalidValue: neither `dt` nor the limits give a duration, or they differ.
             PostureError: as `Arm.compensate`.
         """
         step = step_duration(dt, self.limits.dt)
-        rows = rows_to_send(self, force, compensate)
-        return JointTrajectory.from_configurations(self.arm, rows, step)
+        sent = rows_to_send(self, force, compensate)
+        return JointTrajectory.from_configurations(self.arm, sent.q, sent.slowdown * step)
 
     def __repr__(self) -> str:
         texts = [length_text(error, self.arm.length) for error in self.mean_error[[0, -1]]]
         return f"Run({self.status}, {self.steps} steps, mean point error {' -> '.join(texts)})"
 
 
-def rows_to_send(run: Run, force: bool, compensate: bool) -> Array:
-    """Return the configurations to send to drives, (N, nq); see `Run.joint_trajectory`.
+class SentRows(NamedTuple):
+    """What is sent to drives for a run.
+
+    Attributes:
+        q: configurations, (N, nq).
+        slowdown: duration of a step relative to that of the run, at least 1.
+    """
+
+    q: Array
+    slowdown: float
+
+
+def rows_to_send(run: Run, force: bool, compensate: bool) -> SentRows:
+    """Return what is sent to drives for a run; see `Run.joint_trajectory`.
 
     Raises:
-        MotionError: the run has faults, or the commands against sag exceed its limits, without `force`.
+        MotionError: the run has faults, without `force`.
         PostureError: as `Arm.compensate`.
     """
     require_instance("compensate", compensate, bool, "True or False")
     require_no_faults(run, force)
     if not compensate:
-        return run.q
+        return SentRows(run.q, 1.0)
     commands = run.arm.compensate(run.q)
-    violation = find_limit_violation(replace(run, q=commands))
-    if violation is not None and not force:
-        advice = f"plan with limits that are lower by a factor of {violation.ratio:.4g}"
-        raise MotionError([f"of the commands against sag, {violation.text}; {advice}"])
-    return commands
+    sent = joint_shares(replace(run, q=commands))
+    planned = joint_shares(run)
+    needed = [
+        (share.max(initial=0.0) / max(1.0, own.max(initial=0.0))) ** (1.0 / order)
+        for order, (share, own) in enumerate(zip(sent, planned, strict=True), start=1)
+    ]
+    return SentRows(commands, max(1.0, *map(float, needed)))
 
 
 # The arrays of a run, for files and batches.

@@ -289,12 +289,12 @@ class Trajectory:
             compensate: as in `Run.joint_trajectory`.
 
         Raises:
-            MotionError: it has faults, or commands against sag exceed its limits.
+            MotionError: it has faults.
             PostureError: as `Arm.compensate`.
         """
         sent = rows_to_send(self.run, force, compensate)
-        rows = np.concatenate([sent[:1], sent, sent[-1:]])
-        return JointTrajectory.from_configurations(self.arm, rows, self.dt)
+        rows = np.concatenate([sent.q[:1], sent.q, sent.q[-1:]])
+        return JointTrajectory.from_configurations(self.arm, rows, sent.slowdown * self.dt)
 
     def __repr__(self) -> str:
         slower = f", {self.slowdown}" if self.converged and self.slowdown else ""
