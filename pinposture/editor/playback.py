@@ -338,5 +338,7 @@ def _report(motion: Trajectory | None, reason: str) -> tuple[str, str]:
     heaviest = motion.run.heaviest
     if heaviest is not None and heaviest.load.exceeded:
         return f"a motion of {motion.time[-1]:.4g} s; {heaviest}", "warning"
+    if motion.run.sag_faults:
+        return f"a motion of {motion.time[-1]:.4g} s; {motion.run.sag_faults[0]}", "warning"
     slower = f", {motion.slowdown}" if motion.slowdown else ""
     return f"a motion of {motion.time[-1]:.4g} s{slower}", "info"

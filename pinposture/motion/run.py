@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,7 +19,7 @@ from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.collision.model import Pair, arm_alone
 from pinposture.control import Limits
 from pinposture.control.controller import CONSTRAINTS
-from pinposture.errors import InvalidValue, MotionError
+from pinposture.errors import InvalidValue, MotionError, NoEquilibrium
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.target import distance_from_curve
@@ -205,6 +206,16 @@ class Outcome:
         _, row, load = max(known)
         return Heaviest(load, -row)
 
+    @cached_property
+    def sagged(self) -> Sagged | None:
+        """Where the loaded arm is if it is sent this motion; None if masses or stiffness are not known."""
+        return find_sag(self) if self.arm.sag_known else None
+
+    @cached_property
+    def sag_faults(self) -> tuple[str, ...]:
+        """Those of the `faults` that commands against sag do not have."""
+        return () if self.sagged is None else self.sagged.faults
+
     @property
     def converged(self) -> bool:
         """Whether the arm is at its target at the end, within the tolerance."""
@@ -217,7 +228,8 @@ class Outcome:
         It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path,
         a joint has not the torque to hold the arm still on the way, or bodies penetrate each other. Without a
         scene, the parts of the arm must not penetrate each other either; with self-collision off in the
-        scene, they may. Torques count where masses and limits are known.
+        scene, they may. Torques count where masses and limits are known. Where masses and stiffness are, the
+        arm must be clear and stable as it sags, too.
         """
         if self.converged:
             return self._faults_before_end
@@ -230,7 +242,8 @@ class Outcome:
         there = "reached the target" if self.converged else "did not reach the target"
         faults = [what for what in self._faults_before_end if what not in self.reason]
         but = f", but {', and '.join(faults)}" if faults else ""
-        return f"{there} ({self.status}){but}: {self.reason}"
+        load = "" if self.sagged is None or self.sagged.error is None else f"; {self.sagged}"
+        return f"{there} ({self.status}){but}: {self.reason}{load}"
 
     @cached_property
     def _faults_before_end(self) -> tuple[str, ...]:
@@ -241,7 +254,7 @@ class Outcome:
         deepest = find_penetration(self)
         if deepest is not None:
             found.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
-        return tuple(found)
+        return (*found, *self.sag_faults)
 
 
 class Heaviest(NamedTuple):
@@ -296,6 +309,60 @@ def find_penetration(motion: Outcome) -> Penetration | None:
     return Penetration(least.pair, -least.distance, int(clearance.argmin()))
 
 
+class Sagged(NamedTuple):
+    """Where a loaded arm is that is sent a motion without compensation.
+
+    Attributes:
+        error: mean distance of its control points, at the end, from where the motion has them [m]; None if it
+            has no stable rest on the way.
+        clearance: its smallest distance to an obstacle, or to itself; negative in penetration [m]; None as
+            `error`.
+        row: the row of that, or in which it has no stable rest.
+        faults: its deepest penetration, or why it has no stable rest.
+    """
+
+    error: float | None
+    clearance: float | None
+    row: int
+    faults: tuple[str, ...]
+
+    def __str__(self) -> str:
+        off = "" if self.error is None else length_text(self.error)
+        return f"under load the arm ends {off} from there, in the mean of its points"
+
+
+def find_sag(motion: Outcome) -> Sagged:
+    """Return where the loaded arm is in a motion; see `Outcome.sagged`."""
+    arm = motion.arm
+    q: list[Array] = []
+    for row, command in enumerate(motion.q):
+        try:
+            q.append(arm.sag(command))
+        except NoEquilibrium as error:
+            gives_way = f"under load, joint {error.joint!r} gives way {_after(row)}"
+            return Sagged(None, None, row, (gives_way,))
+    moved = arm.at(q[-1]).points - arm.at(motion.q[-1]).points
+    off = float(np.linalg.norm(moved, axis=1).mean())
+    model = CollisionModel(arm, arm_alone(arm) if motion.scene is None else motion.scene)
+    distances = [model.minimum(row) for row in q]
+    row = min(range(len(q)), key=lambda k: distances[k].distance)
+    closest = distances[row]
+    faults: tuple[str, ...] = ()
+    if closest.pair is not None and closest.distance < -CONTACT_TOLERANCE * arm.length:
+        faults = (f"under load, {Penetration(closest.pair, -closest.distance, row)}",)
+    return Sagged(off, closest.distance, row, faults)
+
+
+def sag_as_data(motion: Outcome) -> dict[str, Any] | None:
+    """Return where the loaded arm is in a motion as data for JSON [m]; None if that is not known."""
+    sagged = motion.sagged
+    if sagged is None:
+        return None
+    known = sagged.clearance is not None and math.isfinite(sagged.clearance)
+    clear = sagged.clearance if known else None
+    return {"mean_error": sagged.error, "clearance": clear, "after_steps": sagged.row}
+
+
 def smallest_distance(motion: Outcome) -> Closest:
     """Return the smallest distance in a motion and its pair; without a scene, of parts of the arm."""
     if motion.scene is None:
@@ -313,10 +380,11 @@ def _minimum_in(motion: Outcome, scene: Scene) -> Closest:
     return CollisionModel(arm, scene).minimum_along(start, offsets)
 
 
-def require_no_faults(motion: Outcome, force: bool) -> None:
-    """Raise MotionError if a motion has faults, unless `force` is True."""
-    if motion.faults and not force:
-        raise MotionError(motion.faults)
+def require_no_faults(motion: Outcome, force: bool, compensate: bool) -> None:
+    """Raise MotionError if a motion has faults, unless `force` is True; `compensate`: other than of sag."""
+    faults = [each for each in motion.faults if not (compensate and each in motion.sag_faults)]
+    if faults and not force:
+        raise MotionError(faults)
 
 
 def ending(motion: Outcome) -> dict[str, Any]:
@@ -586,6 +654,7 @@ class Run(Outcome):
             "violated_steps": {name: steps.tolist() for name, steps in self.violated_steps.items()},
             "clearance": closest(self),
             "holding_torque": holding_torque(self),
+            "sag": sag_as_data(self),
             "start_clearance": None if self.scene is None else float(self.clearance[0]),
             "incomplete": target.incomplete,
             "moved": None if target.moved is None else target.moved._asdict(),
@@ -636,7 +705,7 @@ def rows_to_send(run: Run, force: bool, compensate: bool) -> SentRows:
         PostureError: as `Arm.compensate`.
     """
     require_instance("compensate", compensate, bool, "True or False")
-    require_no_faults(run, force)
+    require_no_faults(run, force, compensate)
     if not compensate:
         return SentRows(run.q, 1.0)
     commands = run.arm.compensate(run.q)

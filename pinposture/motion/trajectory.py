@@ -23,6 +23,7 @@ from pinposture.motion.run import (
     joint_shares,
     largest_shares,
     rows_to_send,
+    sag_as_data,
 )
 from pinposture.placement.target import Moved
 
@@ -269,6 +270,7 @@ class Trajectory:
             "control_points": self.arm.n_modules,
             "clearance": closest(run),
             "holding_torque": holding_torque(run),
+            "sag": sag_as_data(run),
             "deviations": list(self.deviations),
         }
 

@@ -99,6 +99,7 @@ def _of_run(summary: Mapping[str, Any]) -> dict[str, str]:
             begun = f"{words['start']}; " if "start" in words else ""
             words["start"] = f"{begun}in collision, choose another one"
     words |= _holding(summary)
+    words |= _sagging(summary)
     if summary["violated_constraints"]:
         first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), 200, placeholder=" ...")
@@ -132,6 +133,7 @@ def _of_trajectory(summary: Mapping[str, Any]) -> dict[str, str]:
     if summary["clearance"] is not None:
         words["clearance"] = _closest(summary["clearance"], summary["dt"])
     words |= _holding(summary, summary["dt"])
+    words |= _sagging(summary)
     if summary["deviations"]:
         words["not as planned"] = "\n".join(summary["deviations"])
     return words
@@ -270,6 +272,19 @@ def _holding(summary: Mapping[str, Any], dt: float | None = None) -> dict[str, s
         after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
     needed = f"{most['needed']:.4g} of {most['limit']:.4g} {most['unit']}"
     return {"torque at rest": f"at most {100.0 * most['share']:.3g} % ({most['joint']} {after}, {needed})"}
+
+
+def _sagging(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Describe how far the loaded arm ends beside the motion; nothing if that is not known."""
+    sag = summary["sag"]
+    if sag is None:
+        return {}
+    if sag["mean_error"] is None:
+        return {"sag": f"the arm has no stable rest, first after {sag['after_steps']} steps"}
+    clear = "" if sag["clearance"] is None else f", and it is {length_text(sag['clearance'])} clear"
+    return {
+        "sag": f"under load the arm ends {length_text(sag['mean_error'])} off (mean of its points){clear}"
+    }
 
 
 FULL = 1.0 - 1e-6

@@ -114,6 +114,11 @@ class Simulation(Outcome):
         """None: the torques of its servos tell more."""
         return None
 
+    @property
+    def sagged(self) -> None:
+        """None: the simulated arm sags."""
+        return None
+
     @cached_property
     def excess(self) -> PathDeviation | None:
         """The deviation from the path if the arm arrived; None up to 5 tolerances or 5 % of its length.
