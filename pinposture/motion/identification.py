@@ -13,7 +13,6 @@ from pinposture._validation import require_instance
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue, PostureError, enumerated
 from pinposture.motion.drive_fit import (
-    CARRIED,
     COMPLIANCE,
     DELAY,
     FEWEST_SEGMENTS,
@@ -26,7 +25,6 @@ from pinposture.motion.drive_fit import (
     Series,
     fit_drives,
     fit_gain,
-    jackknife,
 )
 from pinposture.motion.drive_model import DriveModel
 from pinposture.motion.joint_trajectory import METRE, RADIAN
@@ -390,25 +388,23 @@ class _Column(NamedTuple):
 
 def _columns_of(arm: Arm, log: Log, reasons: dict[str, str]) -> dict[str, _Column]:
     """Return the columns of the joints of an arm in a log, and add reasons for others."""
-    names = log.joint_names
-    if not names:
-        names = arm.joint_names
-        if len(names) != log.positions.shape[1]:
-            allowed = f"joint_names, or the {len(names)} joints of the arm in its order"
-            raise InvalidValue("log", f"{log.positions.shape[1]} columns without names", allowed)
+    names = log.joint_names or arm.drives.names
+    if len(names) != log.positions.shape[1]:
+        allowed = f"joint_names, or the {len(names)} joints of the arm in the order of its drives"
+        raise InvalidValue("log", f"{log.positions.shape[1]} columns without names", allowed)
     given = {
-        name: _Column(names.index(name), 1.0, 0.0, not slides)
-        for name, slides in zip(arm.joint_names, arm.in_metres, strict=True)
-        if name in names
+        drive.leader: _Column(names.index(drive.joint), drive.ratio, drive.offset, drive.turns)
+        for drive in arm.drives
+        if drive.joint in names
     }
-    for drive in arm.drives:
-        if drive.joint in names and drive.leader not in given:
-            given[drive.leader] = _Column(names.index(drive.joint), drive.ratio, drive.offset, drive.turns)
+    for name, slides in zip(arm.joint_names, arm.in_metres, strict=True):
+        if name in names and name not in given:
+            given[name] = _Column(names.index(name), 1.0, 0.0, not slides)
     if not given:
         raise InvalidValue("log", names, f"joints of the arm, such as {', '.join(arm.joint_names[:3])}")
-    followers = {each.joint for each in arm.couplings} | {each.joint for each in arm.drives}
+    known = {*arm.joint_names, *arm.drives.names, *(each.joint for each in arm.couplings)}
     for name in names:
-        if name not in arm.joint_names and name not in followers:
+        if name not in known:
             reasons[name] = "it is no joint of the arm"
     for name in arm.joint_names:
         if name not in given:
@@ -751,8 +747,7 @@ def _fit_all(
 
 def _payload(fit: Fit, mass: float) -> tuple[Estimate | None, str]:
     """Return the payload of a fit with one, or why it is not told, given the mass of the arm [kg]."""
-    ratio = float(fit.values[CARRIED] / fit.values[COMPLIANCE])
-    payload = Estimate(*jackknife(ratio, fit.left_out[:, CARRIED] / fit.left_out[:, COMPLIANCE]))
+    payload = Estimate(*fit.payload())
     if payload.half > max(WIDE * abs(payload.value), LIGHT * mass):
         return None, f"its interval is {payload.lower:.2g} to {payload.upper:.2g} kg"
     return payload, ""

@@ -56,7 +56,7 @@ class Log:
         commands: joint positions sent, (N, n) [rad or m].
         time: when positions were measured, on the same clock, (M,) [s]; likewise.
         positions: measured joint positions, (M, n) [rad or m].
-        joint_names: names of the joints, n; empty: the order of the arm.
+        joint_names: names of the joints, n; empty: those of `Arm.drives`, in their order.
         effort: measured torques or forces of the drives, (M, n) [N m or N]; None: unknown.
         gravity: gravitational acceleration in the world frame of the arm, (3,) or (M, 3) [m/s^2], such as
             (0, 0, -9.81) for an arm that is mounted as its description says; None: unknown attitude.

@@ -289,3 +289,23 @@ def test_logs_of_another_arm_are_refused(arm: pp.Arm) -> None:
     for given in (None, [], [log, 3], "log"):
         with pytest.raises(InvalidValue, match="a Log"):
             identify(arm, given)
+
+
+def test_of_coupled_joints_the_driven_one_is_read() -> None:
+    text = """<robot name="pair"><link name="base"/><link name="l1"/><link name="l2"/><link name="tip"/>
+      <joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+        <limit lower="-3" upper="3" effort="1" velocity="1"/>
+        <mimic joint="j2" multiplier="-0.5" offset="0.1"/></joint>
+      <joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.1 0 0"/>
+        <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+      <joint name="end" type="fixed"><parent link="l2"/><child link="tip"/><origin xyz="0.1 0 0"/></joint>
+    </robot>"""
+    arm = pp.Arm.load(text, modules=2)
+    assert arm.joint_names == ("j1",) and arm.drives.names == ("j2",)
+    log = log_of()
+    one = (log.command_time, log.commands[:, :1], log.time, log.positions[:, :1])
+    found = identify(arm, Log(*one, ("j2",))).drives
+    assert found.lag.value == pytest.approx(0.2, abs=3e-3)
+    assert found.friction.value == pytest.approx(0.025, abs=1e-3)  # as an angle of j1, which leads in the arm
+    assert identify(arm, Log(*one)).drives.friction == found.friction
+    assert identify(arm, Log(*one, ("j1",))).drives.friction.value == pytest.approx(0.05, abs=2e-3)
