@@ -175,7 +175,7 @@ class Arm(ConfigurationSpace):
         self._effort_checked = False
         drives = report.drives if report else ()
         self.effort = _read_only(effort_limits(model, weight, drives))
-        self._springs = np.zeros((self.nv, self.nv))  # 0 on the diagonal: not known
+        self._springs: Array | None = None
         if weight.stiffness is not None:
             self._springs = stiffness_matrix(model, weight.stiffness, drives, self.in_metres)
         self.model = model = weighted_model(model, weight, self.added)
@@ -1053,11 +1053,12 @@ class Arm(ConfigurationSpace):
         Raises:
             WeightUnknown: the stiffness of a joint is not known: an unknown one is not rigid. Names it.
         """
-        unknown = np.flatnonzero(np.diagonal(self._springs) == 0.0)
-        if len(unknown):
-            names = [self.joint_names[u] for u in unknown]
+        springs = self._springs
+        known = np.zeros(self.nv) if springs is None else np.diagonal(springs)
+        if springs is None or np.any(known == 0.0):
+            names = [self.joint_names[u] for u in np.flatnonzero(known == 0.0)]
             raise WeightUnknown("stiffness", names, STIFFNESS_REMEDY)
-        return _read_only(self._springs)
+        return _read_only(springs)
 
     @cached_property
     def _spring_root(self) -> Array:
@@ -1067,7 +1068,7 @@ class Arm(ConfigurationSpace):
     @cached_property
     def sag_known(self) -> bool:
         """Whether all masses and the stiffness of all joints are known."""
-        if not np.all(np.diagonal(self._springs) > 0.0):
+        if self._springs is None or np.any(np.diagonal(self._springs) == 0.0):
             return False
         try:
             self.require_masses(warns=False)

@@ -486,7 +486,13 @@ class FrameReader:
         return np.array(pin.computeGeneralizedGravity(self._model, self._buffers()[0], q))
 
     def gravity_gradient(self, q: Array) -> Array:
-        """Compute the change of the torques that balance gravity per joint motion, (nv, nv); a copy."""
+        """Compute the change of the torques that balance gravity per joint motion, (nv, nv); a copy.
+
+        Raises:
+            InvalidValue: an arm with coupled joints, which Pinocchio does not derive.
+        """
+        if self._coupled:
+            raise InvalidValue("arm", self._model.name, "coupled joints only if none moves off its chain")
         return np.array(pin.computeGeneralizedGravityDerivatives(self._model, self._buffers()[0], q))
 
     def inverse_dynamics(self, q: Array, velocities: Array, accelerations: Array) -> Array:

@@ -27,7 +27,12 @@ CONTRACTION = 0.5
 SETTLED = 1e-10
 """Length of a Newton step that is the last, in joint units; the next one would be its square."""
 SMALLEST_SHARE = 0.01
-"""Smallest part of the load that is added at once: how exactly the load is known at which an arm buckles."""
+"""Smallest part of the load that is added at once to an arm that is about to buckle: how exactly the load is
+known at which it does."""
+ABOUT_TO_BUCKLE = 0.1
+"""Curvature of the energy, relative to that of the springs alone, below which an arm is about to buckle."""
+LEAST_SHARE = 1e-12
+"""Smallest part of the load that is added at once: that of a limp arm, which moves far until it hangs."""
 
 
 class Settled(NamedTuple):
@@ -86,11 +91,13 @@ def settle(loads: Loads, root: Array, units: Array) -> Settled:
         if found is not None:
             rest = found
             share = trial
+            step = 2.0 * step
             continue
         step = step / 2.0
         if step < SMALLEST_SHARE:
             bent = curvature(loads(root @ rest)[1], root, trial)
-            return Settled(root @ rest, share, weakest_joint(bent, root, units))
+            if step < LEAST_SHARE or np.linalg.eigvalsh(bent)[0] < ABOUT_TO_BUCKLE:
+                return Settled(root @ rest, share, weakest_joint(bent, root, units))
     return Settled(root @ rest, share, 0)
 
 

@@ -43,6 +43,7 @@ class SagCompensation:
 
     Attributes:
         offset: displacement of what is sent from the command, (nv,) [rad or m].
+        cut: what position limits took from the latest compensation, (nv,) [rad or m].
 
     Args:
         arm: the arm.
@@ -57,6 +58,7 @@ class SagCompensation:
         self.arm = arm
         self._compliance = np.linalg.inv(arm.stiffness)
         self.offset = np.zeros(arm.nv)
+        self.cut = np.zeros(arm.nv)
         self.take(limits)
 
     def take(self, limits: Limits) -> None:
@@ -90,41 +92,38 @@ class SagCompensation:
             positions: its joint positions with full turns, (nv,) [rad or m].
             dt: duration of the cycle, at most the nominal one [s].
         """
+        before = self.offset
         limits = self._limits
         if not self._smoothing.active and dt != self._dt:
             self._step = self._step * (dt / self._dt)
             self._dt = dt
         if not self._smoothing.active and dt != self._period:
             limits = replace(limits, dt=dt)
+        wanted = self._wanted(state, positions)
         step = None
         if self._smoothing.needs_step(dt / self._period):
-            room = self._wanted(state, positions) - self._aimed
+            room = wanted - self._aimed
             bounds = limits.for_arm(self.arm)
             step = room
             if bounds.brake is not None:
                 step = farthest(room, bounds.brake)
-                step = np.clip(step, self._step - bounds.brake, self._step + bounds.brake)
-            step = np.clip(step, -bounds.bound, bounds.bound)
+                step = np.minimum(np.maximum(step, self._step - bounds.brake), self._step + bounds.brake)
+            step = np.minimum(np.maximum(step, -bounds.bound), bounds.bound)
             self._aimed = self._aimed + step
             self._step = step
         moved = self._smoothing.advance(dt / self._period, step)
-        inside = np.clip(positions + self.offset + moved, *self.arm.limits[:2])
-        moved = np.where(self._outside(positions), moved, inside - positions - self.offset)
-        self.offset = self.offset + moved
-        return moved
-
-    def cut(self, state: ArmState, positions: Array) -> Array:
-        """Return what limits of position take from the compensation, (nv,) [rad or m]."""
-        return np.asarray(self._needed(state) - self._wanted(state, positions))
-
-    def _needed(self, state: ArmState) -> Array:
-        return np.asarray(self._compliance @ state.gravity_torques)
+        self.offset = self._within(self.offset + moved, positions)
+        return np.asarray(self.offset - before)
 
     def _wanted(self, state: ArmState, positions: Array) -> Array:
-        """Return the compensation within the position limits; none where the command is beyond them."""
-        needed = self._needed(state)
-        inside = np.clip(positions + needed, *self.arm.limits[:2]) - positions
-        return np.where(self._outside(positions), 0.0, inside)
+        """Return the compensation within the position limits."""
+        needed = self._compliance @ state.gravity_torques
+        wanted = self._within(needed, positions)
+        self.cut = needed - wanted
+        return wanted
 
-    def _outside(self, positions: Array) -> NDArray[np.bool_]:
-        return np.asarray((positions < self.arm.limits.lower) | (positions > self.arm.limits.upper))
+    def _within(self, offset: Array, positions: Array) -> Array:
+        """Return a compensation such that joints within their limits, at these positions, stay there."""
+        lower = np.minimum(self.arm.limits.lower - positions, 0.0)
+        upper = np.maximum(self.arm.limits.upper - positions, 0.0)
+        return np.asarray(np.minimum(np.maximum(offset, lower), upper))

@@ -227,6 +227,7 @@ class Tracker:
         self._rates = RateCheck(arm, period)
         self._former: Limits | None = None
         self._sag = SagCompensation(arm, limits) if compensate else None
+        self._shared: tuple[Limits, Limits] | None = None
         controller, self.scene = in_scene(controller_named(controller), scene)
         steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
@@ -289,7 +290,11 @@ class Tracker:
 
     def _of_command(self, limits: Limits) -> Limits:
         """Return the limits within which the command moves: without what is kept for compensation."""
-        return limits if self._sag is None else shared(limits, self.arm, 1.0 - RESERVED)
+        if self._sag is None:
+            return limits
+        if self._shared is None or self._shared[0] is not limits:
+            self._shared = limits, shared(limits, self.arm, 1.0 - RESERVED)
+        return self._shared[1]
 
     @property
     def compensates(self) -> bool:
@@ -764,11 +769,9 @@ class Tracker:
 
     def _lost_compensation(self) -> tuple[str, ...]:
         """Return a message if a joint cannot compensate sag within its position limits."""
-        state = self._feedback.state
-        positions = self._feedback.positions
-        if self._sag is None or state is None or positions is None:
+        if self._sag is None:
             return ()
-        cut = np.abs(self._sag.cut(state, positions)) / self.arm.joint_units
+        cut = np.abs(self._sag.cut) / self.arm.joint_units
         joint = int(cut.argmax())
         if cut[joint] <= POSITION_SLACK:
             return ()

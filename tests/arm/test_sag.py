@@ -175,6 +175,18 @@ def test_the_gradient_is_that_of_pinocchio() -> None:
     np.testing.assert_allclose(far.at(q).gravity_gradient, exact, atol=1e-12)
 
 
+@pytest.mark.parametrize("stiffness", [1e-9, 1e-3, 0.1])
+def test_a_limp_arm_hangs(stiffness: float) -> None:
+    arm = pp.Arm.load(pendulum()).with_stiffness(stiffness)
+    torque = 2.0 * 0.3 * G
+    [q] = arm.sag([0.1])
+    exact = brentq(lambda x: stiffness * (x - 0.1) - torque * np.cos(x), 0.1, np.pi / 2.0 + 0.3, xtol=1e-14)
+    assert q == pytest.approx(exact, abs=1e-10)
+    limp = template_arm("RyRz", 6).with_stiffness(stiffness)
+    tip = limp.at(limp.sag(limp.straight())).points[-1]
+    assert tip[2] < limp.chain.base[2] - 0.3 * limp.length
+
+
 # No rest.
 
 
@@ -365,3 +377,27 @@ def test_a_task_file_keeps_stiffness(tmp_path, stiffness) -> None:
     assert pp.Task.load(saved).arm.weight.stiffness == stiffness
     changed = pp.Task.load(saved, {"arm.weight.stiffness": "5 N m/rad"})
     assert changed.arm.stiffness.tolist() == [[5.0, 0.0], [0.0, 5.0]]
+
+
+def test_joints_off_the_chain_sag_and_count_too() -> None:
+    model = pin.Model()
+    body = pin.Inertia(1.0, np.array([0.1, 0.0, 0.0]), 1e-3 * np.eye(3))
+    along = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.0]))
+    first = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "a")
+    for name in ("b", "gripper"):
+        number = model.addJoint(first, pin.JointModelRY(), along, name)
+        model.appendBodyToJoint(number, body, pin.SE3.Identity())
+    model.appendBodyToJoint(first, body, pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", model.getJointId("b"), along, pin.FrameType.OP_FRAME))
+    arm = pp.Arm.from_model(model, ["tip"]).with_stiffness(30.0)
+    q = arm.sag(np.zeros(3))
+    np.testing.assert_allclose(30.0 * q, -arm.at(q).gravity_torques, atol=1e-9)
+    assert q[1] == pytest.approx(q[2])
+    np.testing.assert_allclose(arm.compensate(q), 0.0, atol=1e-9)
+
+
+def test_without_gravity_nothing_sags() -> None:
+    arm = template_arm("RyRz", 3).with_gravity((0.0, 0.0, 0.0)).with_stiffness(5.0)
+    q = arm.random(1)
+    np.testing.assert_allclose(arm.sag(q), q)
+    np.testing.assert_allclose(arm.compensate(q), q)
