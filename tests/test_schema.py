@@ -36,7 +36,7 @@ class File:
     embeds = False
 
     def __init__(self) -> None:
-        self.arm = template_arm("RyRz", 6)
+        self.arm = template_arm("RyRz", 6).with_effort(3.0)
         self.scene = None
         self.described: dict[Hashable, object] = {}
 
@@ -306,11 +306,18 @@ def test_a_tip_that_was_written_reads_back(
     acceleration=st.none() | st.floats(0.1, 50.0),
     step=st.none() | st.floats(0.01, 1.0),
     dt=st.floats(1e-3, 0.9),
+    effort=st.none()
+    | st.just(True)
+    | st.floats(0.1, 9.0)
+    | st.lists(st.floats(0.1, 9.0), min_size=12, max_size=12),
 )
 @examples(60)
-def test_limits_that_were_written_read_back(velocity: Any, acceleration: Any, step: Any, dt: float) -> None:
+def test_limits_that_were_written_read_back(
+    velocity: Any, acceleration: Any, step: Any, dt: float, effort: Any
+) -> None:
     given_velocity = np.array(velocity) if isinstance(velocity, list) else velocity
-    limits = pp.Limits(step=step, velocity=given_velocity, dt=dt, acceleration=acceleration)
+    torques = np.array(effort) if isinstance(effort, list) else effort
+    limits = pp.Limits(step=step, velocity=given_velocity, dt=dt, acceleration=acceleration, effort=torques)
     file = File()
     assert read_as(pp.Limits, limits.to_table(file), file) == limits
 

@@ -65,6 +65,14 @@ class Sides(NamedTuple):
     room: Array
     names: tuple[str, ...]
 
+    def joined(self, other: Sides) -> Sides:
+        """Return both together."""
+        return Sides(
+            np.concatenate([self.matrix, other.matrix]),
+            np.concatenate([self.room, other.room]),
+            self.names + other.names,
+        )
+
     @property
     def violation(self) -> float:
         """Distance of the worst row beyond its bound [m]; 0 if all are kept."""

@@ -29,7 +29,15 @@ Info = bool | int | float | str | NDArray[Any]
 """What a controller may report beside a step: a number, text, or an array of one shape in all steps."""
 
 
-CONSTRAINTS = ("position limit", "velocity limit", "acceleration limit", "jerk limit", "margin", "constraint")
+CONSTRAINTS = (
+    "position limit",
+    "velocity limit",
+    "acceleration limit",
+    "jerk limit",
+    "torque limit",
+    "margin",
+    "constraint",
+)
 """Names of the constraints that a step can violate."""
 
 

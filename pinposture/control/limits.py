@@ -64,6 +64,7 @@ class JointBounds(NamedTuple):
         dt: duration of a step [s]; None: undefined.
         acceleration: largest change of dq between steps, (nv,) [rad or m]; None: no limit.
         jerk: largest change between steps of the change of dq, (nv,) [rad or m]; None: no limit.
+        effort: largest torque or force, (nv,) [N m or N], infinite where it is not known; None: no limit.
 
     The arrays are passed to kernels. Do not write to them.
     """
@@ -77,6 +78,7 @@ class JointBounds(NamedTuple):
     dt: float | None
     acceleration: Array | None
     jerk: Array | None
+    effort: Array | None
 
     @property
     def arrays(self) -> LimitArrays:
@@ -97,11 +99,14 @@ def joint_bounds(
     dt: float | None,
     position_margin: float,
     jerk: float | Array | None,
+    effort: bool | float | Array | None = None,
 ) -> JointBounds:
     """Return the bounds for the joints of an arm, from the attributes of `Limits`.
 
     Raises:
-        InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
+        InvalidValue: not one number for each degree of freedom, a margin wider than half a joint's range, or
+            torque limits of an arm whose torques take Pinocchio.
+        WeightUnknown: torque limits, and masses, or all limits of the arm, are not known.
     """
     bound = np.full(arm.nv, np.inf)
     brake: Array | None = None
@@ -122,7 +127,20 @@ def joint_bounds(
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
     slack = POSITION_SLACK * units
-    return JointBounds(bound, travel, edges, brake, units, slack, dt, change, change_of_change)
+    torques = None if effort is None else _effort_of(arm, effort)
+    return JointBounds(bound, travel, edges, brake, units, slack, dt, change, change_of_change, torques)
+
+
+def _effort_of(arm: Arm, effort: bool | float | Array) -> Array:
+    """Return torque limits of an arm, (nv,) [N m or N]; `effort` is as in `Limits`."""
+    arm.require_masses()
+    if not arm.dynamics.whole:
+        allowed = "none: a joint off the chain of this arm neither turns about one axis nor slides along one"
+        raise InvalidValue("limits.effort", effort, allowed)
+    if effort is not True:
+        return _per_joint("effort", effort, arm)
+    arm.require_effort()
+    return arm.effort
 
 
 def _edges(arm: Arm, margin: float) -> Array:
@@ -326,6 +344,7 @@ _QUANTITIES = {
     "velocity": ("rate of turning", "speed"),
     "acceleration": ("rate of change of turning", "acceleration"),
     "jerk": ("jerk of turning", "jerk"),
+    "effort": ("torque", "force"),
 }
 """Kinds of quantity of each limit, for joints that turn and for joints that slide."""
 
@@ -398,6 +417,15 @@ def _write_limit(name: str, value: float | Array, arm: Arm) -> Any:
     return [each if np.isfinite(each) else UNLIMITED_WORD for each in value.tolist()]
 
 
+def _read_effort(value: Any, info: ValidationInfo) -> bool | float | Array:
+    """Read torque limits: those of the arm, or others."""
+    if value is True:
+        return True
+    if value is False:
+        raise NotAllowed(value, "True, a positive number, or one for each degree of freedom")
+    return _read_limit(value, info)
+
+
 _Limit = Annotated[float | Array, read_by(_read_limit)]
 
 DEFAULT_CYCLE = 0.02
@@ -427,6 +455,9 @@ class Limits(Declared):
             stop at their position limits. None: no limit.
         jerk: largest joint jerk [rad/s^3 or m/s^3]; one number, or one for each joint. Needs `acceleration`.
             None: no limit.
+        effort: largest torque or force of each joint [N m or N]: True for those of the arm, `Arm.effort`; one
+            number, or one for each degree of freedom. "geodesic" keeps to postures that the motors can hold,
+            and with `dt` times its paths within their torques; see `docs/weight.md`. None: no limit.
     """
 
     step: _Limit | None = 0.1
@@ -435,6 +466,7 @@ class Limits(Declared):
     position_margin: Annotated[float, read_by(_read_margin)] = 0.0
     acceleration: _Limit | None = None
     jerk: _Limit | None = None
+    effort: Annotated[bool | float | Array, read_by(_read_effort)] | None = None
 
     @model_validator(mode="after")
     def _check(self, info: ValidationInfo) -> Limits:
@@ -472,7 +504,7 @@ class Limits(Declared):
 
     @cached_property
     def _key(self) -> tuple[object, ...]:
-        values = (self.step, self.velocity, self.acceleration, self.jerk)
+        values = (self.step, self.velocity, self.acceleration, self.jerk, self.effort)
         numbers = [value.tobytes() if isinstance(value, np.ndarray) else value for value in values]
         return (*numbers, self.dt, self.position_margin)
 
@@ -595,6 +627,7 @@ class Limits(Declared):
             dt=self.dt,
             position_margin=self.position_margin,
             jerk=self.jerk,
+            effort=self.effort,
         )
         known = recent_values(arm, JointBounds, _MAX_CACHED)
         known.keep(self._key, bounds)

@@ -161,8 +161,8 @@ def fill_torque_rows(
             b1 = here[1, nv + j]
             b2 = here[2, nv + j]
             c0 = here[0, 2 * nv + j]
-            c1 = here[1, 2 * nv + j]
             c2 = here[2, 2 * nv + j]
+            c1 = 2.0 * here[1, 2 * nv + j] - 0.5 * (c0 + c2)
             a0 = here[0, j]
             a1 = here[1, j] + h * b1  # x has changed by 2 s u after a distance s
             a2 = here[2, j] + 2.0 * h * b2
@@ -174,7 +174,7 @@ def fill_torque_rows(
             rows.c[k, 0, first + j] = factor * c0
             rows.a[k, 1, first + j] = factor * (2.0 * a1 - 0.5 * (a0 + a2))
             rows.b[k, 1, first + j] = factor * (2.0 * b1 - 0.5 * (b0 + b2))
-            rows.c[k, 1, first + j] = factor * (2.0 * c1 - 0.5 * (c0 + c2))
+            rows.c[k, 1, first + j] = factor * c1
             rows.a[k, 2, first + j] = factor * a2
             rows.b[k, 2, first + j] = factor * b2
             rows.c[k, 2, first + j] = factor * c2

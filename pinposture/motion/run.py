@@ -81,12 +81,12 @@ def find_limit_violation(run: Run) -> LimitViolation | None:
     if not run.steps:
         return None
     bounds = run.limits.for_arm(run.arm)
-    kinds = ("velocity", "acceleration", "jerk")
-    shares = joint_shares(run)
+    kinds = ("velocity", "acceleration", "jerk", "torque")
+    shares = (*joint_shares(run), torque_shares(run.arm, run.q, run.limits))
     for each in shares[1:]:
         each[run.steps - 1] = each[run.steps - 1 :].max(axis=0)
     rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
-    largest = (bounds.bound, bounds.acceleration, bounds.jerk)
+    largest = (bounds.bound, bounds.acceleration, bounds.jerk, None)
     over = np.stack(
         [
             each[: run.steps] - (0.0 if most is None else 2.0**order * rounding / most)
@@ -125,6 +125,25 @@ def joint_shares(run: Run) -> tuple[Array, Array, Array]:
         shares.append(np.abs(values) / (np.inf if most is None else most))
         values = np.diff(np.pad(values, ((1, 1), (0, 0))), axis=0)
     return shares[0], shares[1], shares[2]
+
+
+def torque_shares(arm: Arm, q: Array, limits: Limits) -> Array:
+    """Return the torques at the configurations of a motion, (N, nq), relative to their limits, (N, nv).
+
+    With a cycle time those of the motion, from and to rest; else those that hold the arm. Zeros without.
+    """
+    bounds = limits.for_arm(arm)
+    if bounds.effort is None:
+        return np.zeros((len(q), arm.nv))
+    rest = np.zeros((1, arm.nv))
+    if bounds.dt is None:
+        steps = np.zeros((len(q) + 1, arm.nv))
+    else:
+        moved = [arm.difference(a, b)[None] / bounds.dt for a, b in pairwise(q)]
+        steps = np.concatenate([rest, *moved, rest])
+    dt = 1.0 if bounds.dt is None else bounds.dt
+    torques = arm.inverse_dynamics(q, (steps[1:] + steps[:-1]) / 2.0, np.diff(steps, axis=0) / dt)
+    return np.asarray(np.abs(torques) / bounds.effort)
 
 
 # How runs, motions and simulations end, and whether a motion may be sent to a robot.

@@ -17,6 +17,7 @@ from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import require_limits
+from pinposture.control.torque_limits import require_held
 from pinposture.motion import tolerances
 from pinposture.motion.loop import Callback, RecordedLoop, describe_arrival, in_scene
 from pinposture.motion.run import ENDINGS, RAISE_STEPS, Run
@@ -95,6 +96,7 @@ def track(
     max_steps: int | None = None,
     tolerance: float | None = None,
     callback: Callback | None = None,
+    strict: bool = True,
 ) -> Run:
     """Drive the arm from a configuration to a target posture.
 
@@ -114,6 +116,8 @@ def track(
             1e-6 of the arm length if None.
         callback: called after each step with its number, 1-based, the state after it and the step, but not
             while the arm brakes to rest. The run stops if it returns True.
+        strict: whether a start, or a configuration of the target, that the motors cannot hold within torque
+            limits of `limits` is refused. If not, the run goes on, and `faults` says so.
 
     Returns:
         The run. `status` is "converged", "stalled" (no step reduces the errors further, or no progress in
@@ -124,7 +128,8 @@ def track(
     Raises:
         InvalidValue: q0, the target, max_steps or the tolerance is invalid, the target belongs to another
             arm, or q0 or the configuration of the target is so far outside the limits that it may be in
-            degrees.
+            degrees, or cannot be held.
+        WeightUnknown: torque limits, and masses, or all limits of the arm, are not known.
         UnknownName: there is no controller of that name.
     """
     controller, scene = in_scene(controller_named(controller), scene)
@@ -139,6 +144,11 @@ def track(
     require_positive("tolerance", tolerance)
 
     start = arm.checked_start(q0, "q0")
+    require_instance("strict", strict, bool, "True or False")
+    if strict:
+        require_held(arm, start, limits, "q0")
+        if target.q is not None:
+            require_held(arm, target.q, limits, "target.q")
     if max_steps is None:
         max_steps = usual_max_steps(arm, start, target, limits)
 

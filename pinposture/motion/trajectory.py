@@ -24,6 +24,7 @@ from pinposture.motion.run import (
     largest_shares,
     rows_to_send,
     sag_as_data,
+    torque_shares,
 )
 from pinposture.placement.target import Moved
 
@@ -187,6 +188,7 @@ class Trajectory:
             return OFF_THE_PATH if off_the_path else "the arm is behind its targets"
         speeds, accelerations, jerks = self._shares
         used = {"velocity": speeds[cycle], "acceleration": accelerations[cycle : cycle + 2].max(axis=0)}
+        used["torque"] = self._torque_shares[cycle : cycle + 2].max(axis=0)
         bounds = self.run.limits.for_arm(self.arm)
         if bounds.brake is not None and bounds.acceleration is not None and bounds.jerk is not None:
             # The jerk limit lowers the acceleration of the plan.
@@ -205,6 +207,10 @@ class Trajectory:
     @cached_property
     def _shares(self) -> tuple[Array, Array, Array]:
         return joint_shares(self.run)
+
+    @cached_property
+    def _torque_shares(self) -> Array:
+        return torque_shares(self.arm, self.run.q, self.run.limits)
 
     @cached_property
     def mean_error(self) -> Array:

@@ -17,6 +17,7 @@ from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.constraint import VIOLATION_ROUNDING, Sides, describe_violated, sides_of
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import LinearRows, Objective
+from pinposture.control.torque_limits import TorqueLimits
 from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 
@@ -242,6 +243,8 @@ class Avoidance:
         moving: whether obstacles move.
         offset: as above.
         constraints: the constraints of the objective.
+        torques: the torque limits of postures; None: none.
+        constrained: whether there are constraints or torque limits.
         tolerated: violation of constraints that is accepted on a path, because its ends violate them [m].
     """
 
@@ -262,6 +265,8 @@ class Avoidance:
         self.offset = offset
         self.objective = objective
         self.constraints = objective.constraints
+        self.torques = None if bounds.effort is None else TorqueLimits(objective.arm, bounds.effort)
+        self.constrained = bool(self.constraints) or self.torques is not None
         self._length = objective.arm.length
         self._bounds = bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
@@ -288,11 +293,16 @@ class Avoidance:
         previous: Array | None = None,
         offset: Array | None = None,
     ) -> Avoidance | None:
-        """Return the avoidance of a scene and of constraints; None if there is neither."""
-        if scene is None and not objective.constraints:
+        """Return the avoidance of a scene, of constraints and of torque limits; None if there is none."""
+        if scene is None and not objective.constraints and bounds.effort is None:
             return None
         scene = _no_obstacles() if scene is None else scene
         return cls(CollisionModel(objective.arm, scene), objective, bounds, previous, offset)
+
+    @property
+    def only_torques(self) -> bool:
+        """Whether there are torque limits, and neither a scene nor constraints."""
+        return self.clearance.scene is _no_obstacles() and not self.constraints
 
     def for_objective(self, objective: Objective) -> Avoidance:
         """Return the avoidance for another objective and an arm at rest."""
@@ -300,7 +310,7 @@ class Avoidance:
 
     def tolerating(self, *states: ChainState) -> Avoidance:
         """Return the avoidance for a path that begins and ends at states, which may violate constraints."""
-        if not self.constraints:
+        if not self.constrained:
             return self
         other = copy(self)
         other.tolerated = max(self.violation(state) for state in states)
@@ -309,12 +319,15 @@ class Avoidance:
     def sides(self, state: ChainState) -> Sides:
         """Return the constraints at a state; the last result is cached."""
         if self._seen_sides is None or self._seen_sides[0] is not state:
-            self._seen_sides = state, sides_of(self.constraints, state)
+            found = sides_of(self.constraints, state)
+            if self.torques is not None:
+                found = found.joined(self.torques.sides(state))
+            self._seen_sides = state, found
         return self._seen_sides[1]
 
     def violation(self, state: ChainState) -> float:
         """Return by how much the worst constraint is violated [m]; 0 if all are kept, up to rounding."""
-        if not self.constraints:
+        if not self.constrained:
             return 0.0
         found = self.sides(state).violation
         return found if found > VIOLATION_ROUNDING * self._length else 0.0
@@ -358,7 +371,7 @@ class Avoidance:
         measured = self.near_measured(state)
         if measured is not None:
             parts.append(self._damper(measured, lower, upper))
-        if self.constraints:
+        if self.constrained:
             parts.append(self._constraint_rows(state, lower, upper))
         found = [part for part in parts if part is not None]
         if len(found) <= 1:
@@ -455,21 +468,29 @@ class Avoidance:
 
     def _violations_along(self, q: Array, path: Array) -> Array:
         """Return the largest violation of a constraint on each straight motion, (N,) [m]; see `keeps`."""
-        if not self.constraints:
+        if not self.constrained:
             return np.zeros(len(path) - 1)
-        sides, ends = self._sides_along(q, path)
-        found = np.array([each.violation for each in sides])
+        offsets, ends = self._sampled(path)
+        start = self.objective.arm.chain_at(q)
+        found = np.zeros(len(offsets))
+        if self.constraints:
+            found = np.array([each.violation for each in self._sides_along(start, offsets)])
+        if self.torques is not None:
+            found = np.maximum(found, self.torques.violations(start.raw_positions + offsets))
         return np.asarray(np.maximum(np.maximum.reduceat(found, ends[:-1]), found[ends[1:]]))
 
-    def _sides_along(self, q: Array, path: Array) -> tuple[list[Sides], NDArray[np.intp]]:
-        """Return the constraints at states on straight motions, and the index of each waypoint among them."""
+    def _sampled(self, path: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Return displacements (s, nv) on straight motions, and the index of each waypoint among them."""
         arm = self.objective.arm
         turns = np.abs(np.diff(path, axis=0) / arm.joint_units).max(axis=1, initial=0.0)
         ends = np.append(0, np.cumsum(np.maximum(np.ceil(turns / SAMPLED_TURN), 1.0))).astype(np.intp)
         places = np.arange(ends[-1] + 1)
         offsets = np.column_stack([np.interp(places, ends, joint) for joint in path.T])
-        start = arm.chain_at(q)
-        return [sides_of(self.constraints, start.moved(each)) for each in offsets], ends
+        return offsets, ends
+
+    def _sides_along(self, start: ChainState, offsets: Array) -> list[Sides]:
+        """Return the constraints at states displaced from one, (s, nv)."""
+        return [sides_of(self.constraints, start.moved(each)) for each in offsets]
 
     def missing_room(self, state: ChainState, root: float) -> LinearRows:
         """Return rows that move a waypoint back within its constraints, times the root of their weight."""
@@ -524,7 +545,7 @@ class Avoidance:
             due = self._lowest(state, np.vstack([braking[:1], rest]), touching) < touching
         possible = lowest if self.moving and not due else max(lowest, touching)
         least = min(self.margin, possible) - self._rounding
-        worst = self._violation_in(state, braking) if self.constraints else 0.0
+        worst = self._violation_in(state, braking) if self.constrained else 0.0
         accepted = max(worst, self.violation(state))
         closer: list[tuple[float, ClearStep]] = []
         for number in range(MAX_HALVINGS):
@@ -589,7 +610,7 @@ class Avoidance:
 
     def _violates(self, state: ChainState, steps: Array, accepted: float) -> bool:
         """Whether steps (k, nv) violate a constraint by more than is accepted [m], and than rounding."""
-        if not self.constraints:
+        if not self.constrained:
             return False
         return self._violation_in(state, steps) > accepted + VIOLATION_ROUNDING * self._length
 
@@ -607,15 +628,29 @@ class Avoidance:
         close = np.flatnonzero(near.distances < self.margin - 1e-9 * self._length)
         words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
         more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
-        broken = describe_violated(self.sides(state), self._length) if self.constraints else ()
-        return (*words[:MAX_NAMED_PAIRS], *more, *broken)
+        return (*words[:MAX_NAMED_PAIRS], *more, *self._describe_broken(state))
+
+    def _describe_broken(self, state: ChainState) -> tuple[str, ...]:
+        """Describe the constraints and the torque limit that are violated at a state."""
+        broken: tuple[str, ...] = ()
+        if self.constraints:
+            broken = describe_violated(sides_of(self.constraints, state), self._length)
+        return broken if self.torques is None else broken + self.torques.describe(state.raw_positions)
 
     def describe_worst_on(self, q: Array, path: Array) -> tuple[str, ...]:
         """Describe the constraints where they are violated most on straight motions; see `keeps`."""
-        if not self.constraints:
+        if not self.constrained:
             return ()
-        worst = max(self._sides_along(q, path)[0], key=lambda sides: sides.violation)
-        return describe_violated(worst, self._length)
+        start = self.objective.arm.chain_at(q)
+        offsets, _ = self._sampled(path)
+        found: tuple[str, ...] = ()
+        if self.constraints:
+            worst = max(self._sides_along(start, offsets), key=lambda sides: sides.violation)
+            found = describe_violated(worst, self._length)
+        if self.torques is not None:
+            positions = start.raw_positions + offsets
+            found += self.torques.describe(positions[int(self.torques.violations(positions).argmax())])
+        return found
 
     def describe_closest(self, state: ChainState) -> str:
         """Describe the closest pair."""
@@ -637,7 +672,7 @@ class Avoidance:
             words += tuple(f"{MEASURED_ARM}: {each}" for each in self._describe(measured, which))
             count += more
         return (
-            words + self._describe_constraints(state, binding[count:], stuck) if self.constraints else words
+            words + self._describe_constraints(state, binding[count:], stuck) if self.constrained else words
         )
 
     def _describe_constraints(

@@ -41,7 +41,7 @@ from pinposture.control.planner.damped_least_squares import (
     solve_remaining,
 )
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
-from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
+from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, timed_again
 from pinposture.control.tasks import Displaced, rows_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
@@ -205,7 +205,7 @@ class PathProgress(NamedTuple):
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return this progress on another path with as many waypoints, or within other limits."""
-        timed = retime(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
+        timed = timed_again(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
         return self._replace(timed=timed, ahead=None)
 
     def bent_to(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
@@ -230,7 +230,7 @@ class PathProgress(NamedTuple):
         squares = float(ahead @ ahead)
         speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
         speed = min(speed, path.end)
-        return cls(retime(path, timed.limits, timed.max_rate, speed, timed.effort), speed=speed)
+        return cls(timed_again(path, timed.limits, timed.max_rate, speed, timed.effort), speed=speed)
 
 
 class Goal(NamedTuple):
@@ -311,7 +311,7 @@ def fast_step(
     objective = path.objective
     if progress.arrived or objective.has_tasks:
         return None
-    if bounds.brake is not None and path.end == 1.0 and not (timed.scheduled or timed.effort):
+    if bounds.brake is not None and path.end == 1.0 and not (timed.scheduled or timed.torques is not None):
         return None  # each joint moves to the end on its own
     arm = state.arm
     ahead = progress.ahead
@@ -736,7 +736,8 @@ def _next_on_path(
     if tasks is not None and (path.end == 1.0 or here >= path.end):
         rest = _admitted(path, path.end, tasks, rest)
     left = float(np.abs(rest[columns] / units).max(initial=0.0))
-    if path.end == 1.0 and not (timed.scheduled or timed.effort) and bounds.brake is not None:
+    alone = path.end == 1.0 and not (timed.scheduled or timed.torques is not None)
+    if alone and bounds.brake is not None:
         # On so short a path each joint moves to the end on its own, as fast as it can stop there.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))

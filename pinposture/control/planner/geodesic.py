@@ -15,7 +15,7 @@ from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
-from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
+from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits, stopping_steps
 from pinposture.control.planner.avoidance import Avoidance, ClearStep
 from pinposture.control.planner.damped_least_squares import StepBounds, solve_posture
 from pinposture.control.planner.follow import (
@@ -29,7 +29,7 @@ from pinposture.control.planner.follow import (
     step_to_goal,
 )
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
-from pinposture.control.planner.path import JointPath, TimedPath, retime
+from pinposture.control.planner.path import JointPath, TimedPath, timed_again
 from pinposture.control.planner.plan import (
     PlanNeeded,
     find_path,
@@ -39,6 +39,7 @@ from pinposture.control.planner.plan import (
     shortcut,
 )
 from pinposture.control.tasks import ControlTask
+from pinposture.control.torque_limits import TorqueLimits
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
@@ -167,6 +168,7 @@ class Geodesic:
         self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None
     ) -> PathProgress:
         """Return the progress, on a new path for the first step, a new target or lack of progress."""
+        effort = progress is not None and progress.timed.effort
         if progress is not None and not progress.matches(state):
             progress = None
         if progress is not None and progress.timed.path.scene is not self.scene:
@@ -181,7 +183,7 @@ class Geodesic:
         if progress is not None and not scheduled and alike:
             updated = self._go_on(state, target, limits, progress)
         else:
-            updated = self._plan(state, target, limits, None if scheduled else progress)
+            updated = self._plan(state, target, limits, None if scheduled else progress, effort)
         moving = self.scene is not None and self.scene.moving
         if not moving or updated.arrived or updated.timed.path.objective.has_tasks:
             return updated
@@ -190,7 +192,7 @@ class Geodesic:
         if avoidance is None:
             return updated
         path = shortcut(updated.path, updated.place, state, bounds, avoidance, prompt=not self.plans)
-        return updated if path is None else PathProgress(retime(path, limits))
+        return updated if path is None else PathProgress(timed_again(path, limits, effort=effort))
 
     def _go_on(
         self, state: ChainState, target: Target, limits: Limits, progress: PathProgress
@@ -206,7 +208,8 @@ class Geodesic:
             attempt = 0
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
-        return PathProgress(retime(self._find_path(progress.objective, state, limits, attempt), limits))
+        path = self._find_path(progress.objective, state, limits, attempt)
+        return PathProgress(timed_again(path, limits, effort=progress.timed.effort))
 
     def _find_path(
         self, objective: Objective, state: ChainState, limits: Limits, attempt: int = 0
@@ -221,22 +224,26 @@ class Geodesic:
         return path
 
     def _plan(
-        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None
+        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None, effort: bool
     ) -> PathProgress:
-        """Return the progress to another target, on the current path if it can be bent."""
+        """Return the progress to another target, on the current path if it can be bent.
+
+        `effort` is as for `retime`.
+        """
         bounds = limits.for_arm(state.arm)
         target.check(state.arm)
         objective = self._objective(state, target, progress)
         avoidance = Avoidance.of(self.scene, objective, bounds)
         fast = avoidance is None and not objective.has_tasks  # wherever the target has gone
         if progress is None or not (fast or is_small_change(progress.objective, objective)):
-            return PathProgress(retime(self._find_path(objective, state, limits), limits))
+            path = self._find_path(objective, state, limits)
+            return PathProgress(timed_again(path, limits, effort=effort))
         idle = progress.idle_travel >= MAX_IDLE_TRAVEL
         place = np.inf if progress.arrived or progress.path.attempt or idle else progress.place
         given = progress.path, place, progress.bend, objective, state, bounds, avoidance
         path, bend = replan(*given, prompt=not self.plans)
         if bend is None:
-            return PathProgress(retime(path, limits))
+            return PathProgress(timed_again(path, limits, effort=effort))
         return progress.bent_to(path, bend, limits)
 
     def _objective(
@@ -335,6 +342,30 @@ class _Situation:
         self.target.check(self.state.arm)
         return self.controller.objective(self.state.arm, self.target)
 
+    def held(self, step: Step | None) -> Step | None:
+        """Return a step after which the motors hold the arm, also while it stops; None if they do not.
+
+        With a cycle time they also move it as the step does.
+        """
+        effort = self.bounds.effort
+        if effort is None or step is None:
+            return step
+        arm = self.state.arm
+        here = self.state.raw_positions
+        rest = stopping_steps(
+            self.bounds.edges - here - step.dq, step.dq, self.bounds.bound, self.bounds.brake
+        )
+        after = here + np.cumsum(np.vstack([step.dq, rest]), axis=0)
+        if TorqueLimits(arm, effort).violations(after).max() > 0.0:
+            return None
+        dt = self.bounds.dt
+        if dt is not None:
+            before = np.zeros(arm.nv) if self.previous is None else self.previous
+            rows = (here[None], (before + step.dq)[None] / (2.0 * dt), (step.dq - before)[None] / dt**2)
+            if np.any(np.abs(arm.dynamics.inverse_dynamics(*rows)) > effort):
+                return None
+        return step
+
     def remember_goal(self, step: Step) -> Step:
         """Return a step whose memory has the goal, too, so that the next step knows how it moves."""
         known = cast(GeodesicMemory, step.memory)
@@ -344,6 +375,8 @@ class _Situation:
 def _continue_path(now: _Situation) -> Step | None:
     before = now.before
     if before is None or before.timed.bounds is not now.bounds or not now.limited_only:
+        return None
+    if not before.timed.is_held:
         return None
     objective = before.timed.path.objective
     same = objective.target is now.target and objective.arm is now.state.arm
@@ -362,14 +395,14 @@ def _continue_path(now: _Situation) -> Step | None:
 def _go_to_goal(now: _Situation) -> Step | None:
     if not now.direct or now.bounds.brake is not None:
         return None
-    return step_to_goal(now.objective, now.state, now.bounds)
+    return now.held(step_to_goal(now.objective, now.state, now.bounds))
 
 
 def _pursue_goal(now: _Situation) -> Step | None:
     if not now.direct or now.bounds.brake is None:
         return None
     step, now.goal = pursue(now.objective, now.state, now.limits, now.memory)
-    return step
+    return now.held(step)
 
 
 def _return_into_limits(now: _Situation) -> Step | None:
@@ -432,6 +465,8 @@ def _follow_path(now: _Situation) -> Step:
         progress = PathProgress.begin(progress.timed, now.previous)
     objective = progress.timed.path.objective
     avoidance = Avoidance.of(controller.scene, objective, now.bounds, now.previous, controller.offset)
+    if now.limited_only and not progress.arrived and progress.timed.is_held:
+        avoidance = None
     if avoidance is None and progress is not before:
         step = fast_step(progress, state, now.bounds, now.previous)
         if step is not None:
@@ -494,7 +529,7 @@ def plan_from(
     state = arm.chain_at(q)
     objective = controller.objective(arm, target)
     path = controller._find_path(objective, state, limits, attempt)
-    progress = PathProgress.begin(retime(path, limits), previous)
+    progress = PathProgress.begin(timed_again(path, limits), previous)
     bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
     return progress.along(progress.path.revised(**bare))._replace(expected=state.raw_positions)
 

@@ -88,12 +88,26 @@ class JointPath:
         kernels.spline_slopes(self.offsets, slopes)
         return slopes
 
+    @cached_property
+    def largest_held(self) -> Array:
+        """Largest torque of each joint that holds the arm on its way, (nv,) [N m or N].
+
+        On the curve through the waypoints, there and halfway between them.
+        """
+        places = np.linspace(0.0, self.end, 2 * int(self.end) + 1)
+        torques = self.arm.dynamics.gravity_torques(self.positions + self.smooth_offset(places))
+        return np.asarray(np.abs(torques).max(axis=0))
+
     @property
-    def is_broken(self) -> bool:
-        """Whether its curve has bends that jump at waypoints, as `within` makes them."""
-        smooth = np.empty_like(self.offsets)
-        kernels.spline_slopes(self.offsets, smooth)
-        return not np.array_equal(smooth, self.slopes)
+    def is_rough(self) -> bool:
+        """Whether the bends of its curve change much within a piece, or jump at waypoints."""
+        moved = np.diff(self.offsets, axis=0)
+        before = self.slopes[:-1]
+        after = self.slopes[1:]
+        first = 3.0 * moved - 2.0 * before - after
+        last = before + 2.0 * after - 3.0 * moved
+        change = max(np.abs(last - first).max(), np.abs(first[1:] - last[:-1]).max(initial=0.0))
+        return bool(change > ROUGH * np.abs(first).max())
 
     @property
     def end(self) -> float:
@@ -150,7 +164,7 @@ class JointPath:
     def revised(self, **changes: Any) -> JointPath:
         """Return the path with another objective or scene; cached values of the waypoints are kept."""
         other = replace(self, **changes)
-        kept = {"positions", "slopes", "configurations"} & vars(self).keys()
+        kept = {"positions", "slopes", "configurations", "largest_held"} & vars(self).keys()
         vars(other).update({name: vars(self)[name] for name in kept})
         return other
 
@@ -239,10 +253,14 @@ corrections, and for differences between steps and a continuous motion. Without 
 
 SAMPLED_TURN = 3.0
 LEAST_SAMPLES = 8
-BROKEN_SAMPLES = 4
+ROUGH_SAMPLES = 4
 """Joint motion between samples of torques, the sum over joints, in `Arm.joint_units`; the least number of
-them on a path, and on each piece of one that is broken. In 32 motions of 8 to 100 joints durations differed
+them on a path, and on each piece of one that is rough. In 32 motions of 8 to 100 joints durations differed
 by 0.05 % from those with a sixtieth of that motion."""
+
+ROUGH = 0.5
+"""Change of bends in a piece, relative to the largest, above which a path is rough. Direct paths of 16 to 100
+joints had 0.1 to 0.3, those relaxed around postures that cannot be held about 1."""
 
 LEAST_PARTS = 128
 """Smallest number of parts of a path with constant acceleration each. Half of it lengthened eight runs of 40
@@ -361,8 +379,8 @@ def torque_rows(
     pieces = len(moved)
     turns = (moved / arm.joint_units).sum(axis=1).max()
     sampled = max(int(np.ceil(pieces * turns / SAMPLED_TURN)), LEAST_SAMPLES)
-    if path.is_broken:
-        sampled = max(sampled, BROKEN_SAMPLES * pieces)
+    if path.is_rough:
+        sampled = max(sampled, ROUGH_SAMPLES * pieces)
     samples = arm.dynamics.path_torques(path.positions, path.offsets, path.slopes, samples=sampled + 1, dt=dt)
     limit = EFFORT_SHARE * effort - _friction(arm, bounds)
     if strict:
@@ -421,7 +439,7 @@ class TimedPath:
             then goes as far as its slowest joint can.
         max_rate: largest number of waypoints in one step, as for `retime`; infinite on a path without a
             schedule.
-        effort: whether it keeps the torque limits of the arm.
+        effort: whether it keeps the torque limits of the arm, if the limits have none.
     """
 
     path: JointPath
@@ -447,6 +465,17 @@ class TimedPath:
             most=profile.most,
             small=ZERO_SLOPE,
         )
+
+    @cached_property
+    def torques(self) -> Array | None:
+        """The torque limits that the profile keeps, (nv,) [N m or N]; None: none."""
+        return profile_effort(self.path.arm, self.bounds, self.effort)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the motors hold the arm everywhere on the path, within the torque limits of its limits."""
+        effort = self.bounds.effort
+        return effort is None or bool(np.all(self.path.largest_held <= effort))
 
     @cached_property
     def scheduled(self) -> bool:
@@ -488,6 +517,13 @@ class TimedPath:
         return self.path.arm.integrate(self.path.start, offset(self.places))
 
 
+def profile_effort(arm: Arm, bounds: JointBounds, effort: bool) -> Array | None:
+    """Return the torque limits that a profile keeps, (nv,) [N m or N]; None: none."""
+    if bounds.effort is not None:
+        return bounds.effort if bounds.dt is not None or effort else None
+    return arm.effort if effort else None
+
+
 def retime(
     path: JointPath,
     limits: Limits | None = None,
@@ -505,9 +541,10 @@ def retime(
         max_rate: largest number of waypoints in one step; one number, or one for each of the N pieces. Finite
             numbers make the waypoints a schedule: the target moves along the path.
         initial_speed: number of waypoints in the previous step, if the arm already moves along the path.
-        effort: whether the motors keep their torque limits, `Arm.effort`, on the whole path: by inverse
-            dynamics with masses, armature and friction of the description, and what the arm carries. For
-            arms of at most 100 degrees of freedom.
+        effort: whether the motors keep their torque limits, those of the limits or `Arm.effort`, on the whole
+            path: by inverse dynamics with masses, armature and friction of the description, and what the arm
+            carries. With torque limits, `Limits(effort=...)`, they do so in any case where they can hold the
+            arm, and pass slowly where they can not.
 
     Raises:
         InvalidValue: not a path, limits that do not fit the arm, or a rate that is not positive. With
@@ -523,14 +560,34 @@ def retime(
         require_positive("max_rate", max_rate)
     require_positive("initial_speed", initial_speed, zero=True)
     require_instance("effort", effort, bool, "True or False")
+    if effort:
+        path.arm.require_effort()
+        path.arm.require_masses()
+    return timed_again(path, limits, max_rate, initial_speed, effort, strict=effort)
+
+
+def timed_again(
+    path: JointPath,
+    limits: Limits,
+    max_rate: float | Array = inf,
+    initial_speed: float = 0.0,
+    effort: bool = False,
+    strict: bool = False,
+) -> TimedPath:
+    """Return a path with its time parameterization; as `retime`, without its checks.
+
+    Args:
+        path: the path.
+        limits: the limits of each step.
+        max_rate: as for `retime`.
+        initial_speed: likewise.
+        effort: likewise.
+        strict: whether a path that the motors cannot hold is refused.
+    """
     bounds = limits.for_arm(path.arm)
+    torques = profile_effort(path.arm, bounds, effort)
     profile = None
-    if bounds.brake is not None or effort or np.all(np.isfinite(max_rate)):
+    if bounds.brake is not None or torques is not None or np.all(np.isfinite(max_rate)):
         path = path.within(bounds.edges)
-        torques = None
-        if effort:
-            path.arm.require_effort()
-            path.arm.require_masses()
-            torques = path.arm.effort
-        profile = SpeedProfile(path, bounds, max_rate, initial_speed, torques, strict=effort)
+        profile = SpeedProfile(path, bounds, max_rate, initial_speed, torques, strict)
     return TimedPath(path, limits, bounds, profile, max_rate, effort)

@@ -182,10 +182,16 @@ def find_path(
             best path so far.
         goal: the state at the goal; None: it is searched.
     """
-    if goal is None and avoidance is None and not objective.tasks:
-        goal = _known_goal(objective, bounds, state.q)
+    good = GOAL_TOLERANCE * objective.arm.length
+    if avoidance is None or avoidance.only_torques:
+        # The usual goal, if the motors hold the arm there.
+        if goal is None and not objective.tasks:
+            goal = _known_goal(objective, bounds, state.q)
+        if goal is None:
+            goal = find_goal(objective, state, bounds.edges, None, good).state
+        if avoidance is not None and not avoidance.allows(goal):
+            goal = None
     if goal is None:
-        good = GOAL_TOLERANCE * objective.arm.length
         goal = find_goal(objective, state, bounds.edges, avoidance, good).state
     path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until, report)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)

@@ -389,7 +389,7 @@ class _PathRelaxation:
         arm = self._objective.arm
         tasks = self._penalties.tasks
         avoidance = self._penalties.avoidance
-        constrained = avoidance is not None and bool(avoidance.constraints)
+        constrained = avoidance is not None and avoidance.constrained
         last = len(offsets) - 1
         found: list[LinearRows] = []
         waypoints: list[int] = []

@@ -115,3 +115,119 @@ def test_what_motors_cannot_hold_and_what_is_not_known_is_named() -> None:
     path = pp.plan(strong.at(strong.straight()), target)
     with pytest.raises(InvalidValue, match="cycle time"):
         pp.retime(path, effort=True)
+
+
+# Limits of torque in steps, plans and motions.
+
+
+def judged(arm: pp.Arm, effort: float, q: np.ndarray, dt: float | None) -> tuple[float, float]:
+    """Largest torques that hold and that move the arm in a motion, relative to the limit; by Pinocchio."""
+    data = arm.model.createData()
+    held = max(float(np.abs(pin.computeGeneralizedGravity(arm.model, data, row)).max()) for row in q)
+    if dt is None:
+        return held / effort, 0.0
+    offsets = np.array([pin.difference(arm.model, q[0], row) for row in q])
+    return held / effort, largest_share(arm.with_effort(effort), q[0], offsets, dt)
+
+
+@pytest.mark.parametrize("seed", seeds(30))
+def test_runs_keep_to_postures_that_the_motors_can_hold(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mounting = pin.SE3(
+        pin.rpy.rpyToMatrix(0.0, float(rng.choice([0.0, -np.pi / 2, np.pi])), 0.0), np.zeros(3)
+    )
+    arm = pp.Arm.from_template("RyRz", int(rng.integers(3, 10)), base_placement=mounting)
+    arm = arm.with_payload(float(rng.uniform(0.0, 0.1)))
+    start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
+    ends = float(np.abs([arm.at(q).gravity_torques for q in (start, goal)]).max())
+    effort = ends * float(rng.uniform(1.02, 1.2))
+    dt = rng.choice([None, 0.01])
+    limits = pp.Limits(
+        step=0.1 if dt is None else None,
+        velocity=None if dt is None else 2.0,
+        acceleration=None if dt is None else rng.choice([None, 20.0]),
+        dt=dt,
+        effort=effort,
+    )
+    run = pp.track(arm, pp.Target.from_configuration(arm, goal), start, limits=limits)
+    assert run.converged
+    held, moved = judged(arm, effort, run.q, dt)
+    assert held <= 1.0 + 1e-9
+    assert moved <= 1.1  # single cycles, which the run reports
+    assert ("torque limit" in "".join(run.violated_constraints)) == (moved > 1.0 + 1e-9)
+
+
+def test_a_planned_path_goes_around_postures_that_cannot_be_held() -> None:
+    rng = np.random.default_rng(31)
+    arm = template_arm("RyRz", 4)
+    more = 1.0
+    while more < 1.05:
+        start, goal = (smooth_configuration(arm, rng, 1.2) for _ in range(2))
+        target = pp.Target.from_configuration(arm, goal)
+        direct = pp.plan(arm.at(start), target)
+        held = np.abs([arm.at(q).gravity_torques for q in direct.configurations]).max(axis=1)
+        more = float(held.max() / max(held[0], held[-1]))
+    effort = 1.02 * float(max(held[0], held[-1]))
+    path = pp.plan(arm.at(start), target, limits=pp.Limits(effort=effort))
+    between = [path.configuration(place) for place in np.linspace(0.0, path.end, 300)]
+    assert judged(arm, effort, np.array(between), None)[0] <= 1.0
+    assert not path.hindrance and path.length > direct.length
+
+
+def test_a_start_and_a_goal_that_cannot_be_held_are_refused_with_what_is_too_much() -> None:
+    arm = template_arm("RyRz", 6)
+    limits = pp.Limits(effort=1.05 * float(np.abs(arm.at(arm.straight()).gravity_torques).max()))
+    loaded = arm.with_payload(0.1)
+    bent = np.zeros(arm.nv)
+    bent[0] = 1.2  # it hangs
+    target = pp.Target.from_configuration(loaded, loaded.straight())
+    with pytest.raises(
+        InvalidValue, match=r"target.q is .joint 'm01_j1_y' needs .* N m.*could with 0\.0\d+ kg less"
+    ) as caught:
+        pp.track(loaded, target, bent, limits=limits)
+    mass = float(str(caught.value).split("could with ")[1].split(" kg")[0])
+    lighter = arm.with_payload(0.1 - 1.01 * mass)
+    assert pp.track(
+        lighter, pp.Target.from_configuration(lighter, lighter.straight()), bent, limits=limits
+    ).steps
+    with pytest.raises(InvalidValue, match="q0 is .joint"):
+        pp.track(loaded, pp.Target.from_configuration(loaded, bent), loaded.straight(), limits=limits)
+    run = pp.track(
+        loaded, pp.Target.from_configuration(loaded, bent), loaded.straight(), limits=limits, strict=False
+    )
+    assert run.converged
+    assert "torque limit: joint 'm01_j1_y'" in run.reason
+    assert judged(loaded, float(limits.effort), run.q[-1:], None)[0] <= 1.0
+
+
+def test_limits_of_the_arm_and_unknown_ones() -> None:
+    arm = template_arm("RyRz", 3)
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.1))
+    with pytest.raises(WeightUnknown, match="torque limit"):
+        pp.track(arm, target, arm.straight(), limits=pp.Limits(effort=True))
+    weak = arm.with_effort(1e-3)
+    target = pp.Target.from_configuration(weak, np.full(arm.nv, 0.1))
+    with pytest.raises(InvalidValue, match="needs"):
+        pp.track(weak, target, weak.straight(), limits=pp.Limits(effort=True))
+    assert pp.track(weak, target, weak.straight(), limits=pp.Limits(effort=5.0)).converged
+    with pytest.raises(InvalidValue, match="effort"):
+        pp.Limits(effort=False)
+
+
+def test_a_replanned_path_keeps_the_torque_limits_of_the_first() -> None:
+    rng = np.random.default_rng(3)
+    arm = template_arm("RyRz", 4).with_effort(0.6)
+    limits = pp.Limits(step=None, velocity=2.0, dt=0.01)
+    start, goal, other = (smooth_configuration(arm, rng, 0.5) for _ in range(3))
+    timed = timed_between(arm, start, goal, limits)
+    controller = pp.Geodesic()
+    memory = controller.start(timed, arm.at(start))
+    state = arm.at(start)
+    for _ in range(3):
+        step = controller.step(state, timed.path.objective.target, limits, memory)
+        state = state.moved(step.dq)
+        memory = step.memory
+    away = arm.at(arm.integrate(state.q, np.full(arm.nv, 0.2)))
+    step = controller.step(away, pp.Target.from_configuration(arm, other), limits, memory)
+    assert step.memory.progress is not None
+    assert step.memory.progress.timed.torques is not None

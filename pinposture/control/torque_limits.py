@@ -1,0 +1,99 @@
+"""Torque limits of postures, which plans and steps keep beside obstacles and constraints."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm, ChainState, JointLoad
+from pinposture.control.constraint import VIOLATION_ROUNDING, Sides
+from pinposture.control.limits import Limits
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+
+
+class TorqueLimits:
+    """The torques that hold an arm still, within limits.
+
+    Torques count in metres, as distances do: a torque as large as its limit is the length of the arm. So a
+    path keeps a hundredth of each limit in reserve where it can, as it keeps that share of the length away
+    from obstacles.
+
+    Args:
+        arm: the arm, whose masses are known.
+        effort: the limits, (nv,) [N m or N]; infinite where there is none.
+    """
+
+    def __init__(self, arm: Arm, effort: Array) -> None:
+        self._arm = arm
+        self._limits = effort
+        self._effort = (1.0 - VIOLATION_ROUNDING) * effort  # what counts as none is kept, too
+        self._limited = np.flatnonzero(np.isfinite(effort))
+        self._scale = arm.length / self._effort[self._limited]
+        self._names = tuple(f"torque of joint {arm.joint_names[joint]!r}" for joint in self._limited)
+
+    def sides(self, state: ChainState) -> Sides:
+        """Return both bounds of each torque at a state."""
+        dynamics = self._arm.dynamics
+        positions = state.raw_positions
+        torques = self._scale * dynamics.gravity_torques(positions)[self._limited]
+        gradient = self._scale[:, None] * dynamics.gravity_gradient(positions)[self._limited]
+        room = self._arm.length - np.concatenate([torques, -torques])
+        return Sides(np.concatenate([-gradient, gradient]), room, self._names + self._names)
+
+    def violations(self, positions: Array) -> Array:
+        """Return the largest excess over a limit at joint positions (s, nv), (s,) [m]; 0 if all are kept."""
+        torques = np.abs(self._arm.dynamics.gravity_torques(positions)[:, self._limited])
+        over = torques / self._effort[self._limited] - 1.0
+        return np.asarray(self._arm.length * over.max(axis=1, initial=0.0))
+
+    def heaviest(self, positions: Array) -> JointLoad:
+        """Return the joint that needs most of its limit at joint positions (nv,)."""
+        torques = np.abs(self._arm.dynamics.gravity_torques(positions))
+        worst = int((torques / self._limits).argmax())
+        return self._arm.load_of(worst, float(torques[worst]), float(self._limits[worst]))
+
+    def describe(self, positions: Array) -> tuple[str, ...]:
+        """Return a message if a limit is exceeded at joint positions (nv,)."""
+        load = self.heaviest(positions)
+        return (f"torque limit: {load} to hold the arm",) if load.exceeded else ()
+
+    def excess_payload(self, state: ChainState) -> float | None:
+        """Return the smallest mass at the tip without which the motors could hold the arm [kg].
+
+        None if they could not without any.
+        """
+        arm = self._arm
+        torques = arm.dynamics.gravity_torques(state.raw_positions)[self._limited]
+        lift = -state.jacobians[-1].T @ np.asarray(arm.model.gravity.linear)
+        lift = lift[self._limited]  # torques per mass at the tip
+        limits = self._effort[self._limited]
+        over = np.abs(torques) > limits
+        with np.errstate(divide="ignore", invalid="ignore"):
+            least = np.where(lift != 0.0, (torques - np.copysign(limits, lift)) / lift, 0.0)
+            most = np.where(lift != 0.0, (torques + np.copysign(limits, lift)) / lift, np.inf)
+        helpless = bool(np.any(over & (lift == 0.0)))
+        mass = max(0.0, float(least.max(initial=0.0)))
+        return None if helpless or mass > float(most.min(initial=np.inf)) else mass
+
+
+def require_held(arm: Arm, q: Array, limits: Limits, name: str) -> None:
+    """Check that the motors hold an arm at a configuration (nq,), within torque limits of `limits`.
+
+    Raises:
+        InvalidValue: a motor has not enough torque; names the joint that needs most, and the mass that is too
+            much.
+    """
+    effort = limits.for_arm(arm).effort
+    if effort is None:
+        return
+    torques = TorqueLimits(arm, effort)
+    state = arm.chain_at(q)
+    load = torques.heaviest(state.raw_positions)
+    if not load.exceeded:
+        return
+    mass = torques.excess_payload(state)
+    less = "" if mass is None else f"; they could with {mass:.3g} kg less at the tip"
+    allowed = f"a posture that the motors can hold{less}; strict=False goes on"
+    raise InvalidValue(name, str(load), allowed)
