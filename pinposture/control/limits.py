@@ -99,14 +99,11 @@ def joint_bounds(
     dt: float | None,
     position_margin: float,
     jerk: float | Array | None,
-    effort: bool | float | Array | None = None,
 ) -> JointBounds:
-    """Return the bounds for the joints of an arm, from the attributes of `Limits`.
+    """Return the bounds for the joints of an arm, from the attributes of `Limits`; without torque limits.
 
     Raises:
-        InvalidValue: not one number for each degree of freedom, a margin wider than half a joint's range, or
-            torque limits of an arm whose torques take Pinocchio.
-        WeightUnknown: torque limits, and masses, or all limits of the arm, are not known.
+        InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
     """
     bound = np.full(arm.nv, np.inf)
     brake: Array | None = None
@@ -127,12 +124,16 @@ def joint_bounds(
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
     slack = POSITION_SLACK * units
-    torques = None if effort is None else _effort_of(arm, effort)
-    return JointBounds(bound, travel, edges, brake, units, slack, dt, change, change_of_change, torques)
+    return JointBounds(bound, travel, edges, brake, units, slack, dt, change, change_of_change, None)
 
 
 def _effort_of(arm: Arm, effort: bool | float | Array) -> Array:
-    """Return torque limits of an arm, (nv,) [N m or N]; `effort` is as in `Limits`."""
+    """Return torque limits of an arm, (nv,) [N m or N]; `effort` is as in `Limits`.
+
+    Raises:
+        InvalidValue: not one number for each degree of freedom, or an arm with a joint that no pass knows.
+        WeightUnknown: masses, or all limits of the arm, are not known.
+    """
     arm.require_masses()
     if not arm.dynamics.whole:
         allowed = "none: a joint off the chain of this arm neither turns about one axis nor slides along one"
@@ -627,8 +628,9 @@ class Limits(Declared):
             dt=self.dt,
             position_margin=self.position_margin,
             jerk=self.jerk,
-            effort=self.effort,
         )
+        if self.effort is not None:
+            bounds = bounds._replace(effort=_effort_of(arm, self.effort))
         known = recent_values(arm, JointBounds, _MAX_CACHED)
         known.keep(self._key, bounds)
         if self.velocity is not None:

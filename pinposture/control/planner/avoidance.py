@@ -329,7 +329,9 @@ class Avoidance:
         """Return by how much the worst constraint is violated [m]; 0 if all are kept, up to rounding."""
         if not self.constrained:
             return 0.0
-        found = self.sides(state).violation
+        found = sides_of(self.constraints, state).violation if self.constraints else 0.0
+        if self.torques is not None:
+            found = max(found, float(self.torques.violations(state.raw_positions[None])[0]))
         return found if found > VIOLATION_ROUNDING * self._length else 0.0
 
     def near(self, state: ChainState) -> Distances:
@@ -484,8 +486,11 @@ class Avoidance:
         arm = self.objective.arm
         turns = np.abs(np.diff(path, axis=0) / arm.joint_units).max(axis=1, initial=0.0)
         ends = np.append(0, np.cumsum(np.maximum(np.ceil(turns / SAMPLED_TURN), 1.0))).astype(np.intp)
-        places = np.arange(ends[-1] + 1)
-        offsets = np.column_stack([np.interp(places, ends, joint) for joint in path.T])
+        counts = np.diff(ends)
+        piece = np.repeat(np.arange(len(counts)), counts)
+        share = (np.arange(ends[-1]) - ends[piece]) / counts[piece]
+        between = path[piece] + share[:, None] * (path[piece + 1] - path[piece])
+        offsets = np.concatenate([between, path[-1:]])
         return offsets, ends
 
     def _sides_along(self, start: ChainState, offsets: Array) -> list[Sides]:

@@ -189,11 +189,17 @@ def find_path(
             goal = _known_goal(objective, bounds, state.q)
         if goal is None:
             goal = find_goal(objective, state, bounds.edges, None, good).state
-        if avoidance is not None and not avoidance.allows(goal):
+        if avoidance is not None and avoidance.violation(goal) > 0.0:
             goal = None
     if goal is None:
         goal = find_goal(objective, state, bounds.edges, avoidance, good).state
-    path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until, report)
+    path = None
+    if avoidance is not None and avoidance.only_torques and not attempt:
+        direct = _clearest_path(objective, state, goal, bounds, None, attempt, until, report)
+        if avoidance.tolerating(state, goal).keeps_constraints(state.q, direct.offsets).all():
+            path = direct
+    if path is None:
+        path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until, report)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
     scene = None if avoidance is None else avoidance.clearance.scene
     return replace(path, scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal))

@@ -190,7 +190,7 @@ def test_a_start_and_a_goal_that_cannot_be_held_are_refused_with_what_is_too_muc
     assert pp.track(
         lighter, pp.Target.from_configuration(lighter, lighter.straight()), bent, limits=limits
     ).steps
-    with pytest.raises(InvalidValue, match="q0 is .joint"):
+    with pytest.raises(InvalidValue, match=r"q0 is .joint"):
         pp.track(loaded, pp.Target.from_configuration(loaded, bent), loaded.straight(), limits=limits)
     run = pp.track(
         loaded, pp.Target.from_configuration(loaded, bent), loaded.straight(), limits=limits, strict=False
