@@ -99,17 +99,6 @@ class JointPath:
         return np.asarray(np.abs(torques).max(axis=0))
 
     @property
-    def is_rough(self) -> bool:
-        """Whether the bends of its curve change much within a piece, or jump at waypoints."""
-        moved = np.diff(self.offsets, axis=0)
-        before = self.slopes[:-1]
-        after = self.slopes[1:]
-        first = 3.0 * moved - 2.0 * before - after
-        last = before + 2.0 * after - 3.0 * moved
-        change = max(np.abs(last - first).max(), np.abs(first[1:] - last[:-1]).max(initial=0.0))
-        return bool(change > ROUGH * np.abs(first).max())
-
-    @property
     def end(self) -> float:
         """The last place, N."""
         return float(len(self.offsets) - 1)
@@ -253,14 +242,9 @@ corrections, and for differences between steps and a continuous motion. Without 
 
 SAMPLED_TURN = 3.0
 LEAST_SAMPLES = 8
-ROUGH_SAMPLES = 4
-"""Joint motion between samples of torques, the sum over joints, in `Arm.joint_units`; the least number of
-them on a path, and on each piece of one that is rough. In 32 motions of 8 to 100 joints durations differed
-by 0.05 % from those with a sixtieth of that motion."""
-
-ROUGH = 0.5
-"""Change of bends in a piece, relative to the largest, above which a path is rough. Direct paths of 16 to 100
-joints had 0.1 to 0.3, those relaxed around postures that cannot be held about 1."""
+"""Joint motion between samples of torques, the sum over joints, in `Arm.joint_units`, and the least number of
+them on a path. All waypoints are samples, as the bends of a path may change there. Of 120 paths of 40 and 100
+joints no step takes over 0.1 % more torque than with four times as many."""
 
 LEAST_PARTS = 128
 """Smallest number of parts of a path with constant acceleration each. Half of it lengthened eight runs of 40
@@ -355,9 +339,9 @@ def torque_rows(
     """Return the rows of a path with limits of torque, in `count` equal parts; those of torques are filled.
 
     On the path, torques are M q' u + (M q'' + C q') x + g, with the mass matrix M, the Coriolis matrix C at
-    the joint velocity q', and gravity g. They are sampled where joints have turned by at most `SAMPLED_TURN`
-    in all, and cubic in between. Dry friction, and viscous friction at the velocity limit, count as if they
-    always opposed the motors.
+    the joint velocity q', and gravity g. They are sampled at waypoints, and where joints have moved by
+    at most `SAMPLED_TURN` in all, and cubic in between. Dry friction, and viscous friction at the velocity
+    limit, count as if they always opposed the motors.
 
     Args:
         path: the path.
@@ -378,9 +362,8 @@ def torque_rows(
     moved = np.abs(np.diff(path.offsets, axis=0))
     pieces = len(moved)
     turns = (moved / arm.joint_units).sum(axis=1).max()
-    sampled = max(int(np.ceil(pieces * turns / SAMPLED_TURN)), LEAST_SAMPLES)
-    if path.is_rough:
-        sampled = max(sampled, ROUGH_SAMPLES * pieces)
+    sections = max(int(np.ceil(turns / SAMPLED_TURN)), 1)
+    sampled = max(pieces * sections, LEAST_SAMPLES)
     samples = arm.dynamics.path_torques(path.positions, path.offsets, path.slopes, samples=sampled + 1, dt=dt)
     limit = EFFORT_SHARE * effort - _friction(arm, bounds)
     if strict:
