@@ -148,6 +148,8 @@ def simulate(
     require_instance("compensate", compensate, bool, "True or False")
     if compensate and servos is not None and servos.gravity_compensation:
         raise InvalidValue("compensate", True, "False with servos that compensate gravity by torques")
+    if compensate and gravity is not True:
+        raise InvalidValue("gravity", gravity, "True with compensate; arm.with_gravity(...) sets another one")
     if tolerance is not None:
         require_positive("tolerance", tolerance)
     if scene is None and isinstance(motion, Run | Trajectory):

@@ -122,6 +122,8 @@ def test_what_cannot_be_compensated_is_refused() -> None:
         sim.simulate(arm, rows, dt=DT, compensate=True)
     with pytest.raises(InvalidValue, match="False with servos that compensate gravity by torques"):
         sim.simulate(soft(arm), rows, sim.Servos(gravity_compensation=True), dt=DT, compensate=True)
+    with pytest.raises(InvalidValue, match="gravity is False; allowed: True with compensate"):
+        sim.simulate(soft(arm), rows, gravity=False, dt=DT, compensate=True)
     with pytest.raises(InvalidValue, match="compensate"):
         sim.simulate(soft(arm), rows, dt=DT, compensate=1)
 
