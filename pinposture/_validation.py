@@ -42,6 +42,12 @@ def require_instance(name: str, value: object, kind: type | UnionType, allowed: 
         raise InvalidValue(name, value, allowed)
 
 
+def require_function(name: str, value: object) -> None:
+    """Raise InvalidValue unless a value is a function, or None."""
+    if not (value is None or callable(value)):
+        raise InvalidValue(name, value, "a function, or None")
+
+
 def require_known(kind: str, name: object, known: Collection[str]) -> None:
     """Raise UnknownName unless a name is one of those known."""
     if not isinstance(name, str) or name not in known:

@@ -352,10 +352,7 @@ def arguments_of(name: str, function: Callable[..., Any]) -> dict[str, Any]:
     short = name.split(".", maxsplit=1)[0]
     known = examples()
     for parameter in inspect.signature(function).parameters.values():
-        if (
-            parameter.name in ("self", "progress", "callback", "jobs")
-            or parameter.kind == parameter.VAR_KEYWORD
-        ):
+        if parameter.name in ("self", "jobs") or parameter.kind == parameter.VAR_KEYWORD:
             continue
         for key in (f"{name}.{parameter.name}", f"{short}.{parameter.name}", parameter.name):
             if key in known:

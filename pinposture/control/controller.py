@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import LARGEST_NUMBER, is_whole, require_instance
+from pinposture._validation import LARGEST_COORDINATE, is_whole, require_instance
 from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits
 from pinposture.errors import ControllerError, InvalidValue, PostureError
@@ -314,7 +314,7 @@ def _is_displacement(value: object, nv: int) -> bool:
         isinstance(value, np.ndarray)
         and value.shape == (nv,)
         and value.dtype.kind in "iuf"
-        and bool(np.all(np.abs(value) <= LARGEST_NUMBER))
+        and bool(np.all(np.abs(value) <= LARGEST_COORDINATE))
     )
 
 

@@ -10,7 +10,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_instance, require_positive, require_whole
+from pinposture._validation import require_function, require_instance, require_positive, require_whole
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
@@ -138,6 +138,7 @@ def track(
     target.check_arm(arm)
     if target.q is not None:
         arm.checked_start(target.q, "target.q")
+    require_function("callback", callback)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
     tolerance = tolerances.ARRIVAL * arm.length if tolerance is None else tolerance

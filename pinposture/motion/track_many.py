@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import is_number, require_instance, require_known, require_positive, require_whole
+from pinposture._validation import (
+    is_number,
+    require_function,
+    require_instance,
+    require_known,
+    require_positive,
+    require_whole,
+)
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
@@ -103,6 +110,7 @@ def track_many(
 
     chosen, scene = in_scene(controller_named(controller), scene)
     limits = require_limits(limits)
+    require_function("progress", progress)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_instance, require_positive
+from pinposture._validation import require_function, require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
@@ -145,6 +145,7 @@ def simulate(
         PostureError: with `compensate`, as `JointTrajectory.compensated`.
     """
     require_positive("hold", hold, zero=True)
+    require_function("progress", progress)
     require_instance("compensate", compensate, bool, "True or False")
     if compensate and servos is not None and servos.gravity_compensation:
         raise InvalidValue("compensate", True, "False with servos that compensate gravity by torques")
@@ -222,6 +223,7 @@ def simulate_closed(
         URDFError: the description of the arm cannot be simulated.
     """
     require_positive("duration", duration)
+    require_function("progress", progress)
     require_positive("dt", dt)
     if tolerance is not None:
         require_positive("tolerance", tolerance)

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from pinposture._validation import (
     LARGEST_COORDINATE,
     finite_array,
+    require_function,
     require_instance,
     require_known,
     require_positive,
@@ -545,6 +546,7 @@ def follow_leader(
         lambda: require_positive("interval", interval),
         lambda: require_positive("speed", speed),
         lambda: require_known("method", method, PATH_METHODS),
+        lambda: require_function("progress", progress),
     )
     wrong_depth = gather(lambda: None if depth is None else require_positive("depth", depth))
     misfits += wrong_depth

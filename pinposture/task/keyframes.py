@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from pinposture._validation import require_instance, require_known, require_positive, require_whole
+from pinposture._validation import (
+    require_function,
+    require_instance,
+    require_known,
+    require_positive,
+    require_whole,
+)
 from pinposture.arm import Arm
 from pinposture.control.limits import Limits
 from pinposture.control.reach import require_within_reach
@@ -486,6 +492,7 @@ def keyframe_reference(
     require_positive("interval", interval)
     require_known("continuity", continuity, CONTINUITIES)
     require_whole("repeat", repeat, 1)
+    require_function("progress", progress)
     require_instance("limits", limits, Limits | None, "Limits(...), or None")
     tour = keyframes
     keyframes = tour if repeat == 1 else lap_of(tour, float(interval))

@@ -12,7 +12,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_instance, require_positive
+from pinposture._validation import require_function, require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
@@ -272,6 +272,7 @@ def perform(
         UnknownName: no controller of that name.
     """
     require_instance("reference", reference, Reference, "a Reference, as `keyframe_reference` returns it")
+    require_function("progress", progress)
     arm = reference.arm
     controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits

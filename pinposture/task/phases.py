@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationInfo, model_validator
 
 from pinposture._validation import direction as unit_vector
-from pinposture._validation import is_usable
+from pinposture._validation import is_usable, require_function
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.pipe import pipe
@@ -309,6 +309,7 @@ def phased_reference(
     Raises:
         TaskError: the arm cannot perform a phase; names it.
     """
+    require_function("progress", progress)
     planner = _Planner(arm, limits, scene, start, continuity, progress)
     for index in range(len(phases)):
         planner.append(phases, index)

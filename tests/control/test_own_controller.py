@@ -145,6 +145,7 @@ def test_a_name_can_be_added_and_a_package_can_bring_one(folder, monkeypatch):
         (Step(np.zeros(8), (4,)), r"active is \(4,\)"),
         (Step(np.zeros(8), memory={"dq": 0}), "memory is {'dq': 0}.*Memory"),
         (Step(np.full(8, "a")), "dq.*8 finite numbers"),
+        (Step(np.full(8, 1e20)), "dq.*8 finite numbers"),
         (Step(np.full(8, None)), "dq.*8 finite numbers"),
         (Step(np.zeros(8, dtype=complex)), "dq.*8 finite numbers"),
         (Step(np.zeros(8, dtype=bool)), "dq.*8 finite numbers"),
@@ -376,3 +377,24 @@ def test_reports_that_look_like_those_of_the_library_harm_no_figure(arm):
     run = reported(arm, report, report)
     assert run.switches == ()
     pp.plot(run)
+
+
+def test_what_is_no_function_is_refused_before_the_first_step(arm):
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    keyframes = [pp.Keyframe(joints=(0.0,) * 8), pp.Keyframe(joints=(0.1,) * 8, duration=1.0)]
+    task = pp.Task(arm, keyframes, LIMITS)
+    for call in (
+        lambda: pp.track(arm, target, arm.straight(), callback=3),
+        lambda: pp.track_many(arm, target, arm.straight(), progress="often", jobs=1),
+        lambda: pp.plan(arm.at(arm.straight()), target, progress=3),
+        lambda: task.reference(progress=[]),
+        lambda: task.perform(progress=3),
+    ):
+        with pytest.raises(InvalidValue, match=r"(callback|progress) is .*a function, or None"):
+            call()
+
+
+def test_what_a_callback_raises_is_raised(arm):
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    with pytest.raises(ZeroDivisionError):
+        pp.track(arm, target, arm.straight(), callback=lambda *_: 1.0 / 0.0)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_positive
+from pinposture._validation import require_function, require_positive
 from pinposture.arm import ArmState, ChainState
 from pinposture.collision import Closest, Scene
 from pinposture.collision.model import describe_distance
@@ -143,6 +143,7 @@ def plan(
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     check_objective(joint_weight, relative_position_weight, tasks, constraints)
     target.check(state.arm)
+    require_function("progress", progress)
     if budget != inf:
         require_positive("budget", budget)
     objective = Objective(
