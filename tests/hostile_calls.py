@@ -32,6 +32,7 @@ from hostile_inputs import a_target, an_arm
 import pinposture as pp
 from pinposture import kernels
 from pinposture.arm import Load, Weight
+from pinposture.motion import DriveModel
 from pinposture.schema import Declared
 from pinposture.task.reference import Reference
 
@@ -209,6 +210,7 @@ def examples() -> dict[str, Any]:
         "joint_names": ("a", "b"),
         "JointTrajectory.from_positions.positions": np.zeros((3, 2)),
         "log": a_log(),
+        "Tracker.drives": DriveModel(),
         "command_time": a_log().command_time,
         "commands": a_log().commands,
         "Log.time": a_log().time,

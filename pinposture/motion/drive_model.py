@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pinposture.schema import Declared, Duration, JointDistance, Time, declared
 
 
@@ -26,3 +29,12 @@ class DriveModel(Declared):
     friction: JointDistance = 0.11
     stiction: JointDistance = 0.0
     delay: Time = 0.008
+
+    def lead(self, velocities: NDArray[np.float64], slow: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far ahead of their positions joints have to be commanded to move, (n,) [rad or m].
+
+        Args:
+            velocities: velocities of the joints, (n,) [rad/s or m/s].
+            slow: velocities below which the lead against friction fades, (n,) [rad/s or m/s].
+        """
+        return np.asarray(self.lag * velocities + self.friction * np.clip(velocities / slow, -1.0, 1.0))

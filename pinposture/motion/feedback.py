@@ -156,6 +156,7 @@ class Feedback:
         noise: change of that average that noise explains, (nv,) [rad or m].
         response: how the drives respond.
         settled: whether the arm is at its target, so that estimates stay as they are.
+        lead: what drives are sent beyond the command, so that they follow it, (nv,) [rad or m].
 
     Args:
         arm: the arm.
@@ -203,6 +204,7 @@ class Feedback:
     def _forget(self, positions: Array) -> None:
         """Forget all estimates, with the command at joint positions (nv,)."""
         self._offset = np.zeros(self.arm.nv)
+        self.lead = np.zeros(self.arm.nv)
         self._shift = np.zeros((self.arm.n_modules, 3))
         self._lagging = positions.copy()
         self._sent = positions.copy()
@@ -282,7 +284,7 @@ class Feedback:
     def _watch(self, positions: Array, dt: float) -> None:
         """Watch the response of the drives to the command, or to the steps with a velocity interface."""
         velocities = self._time_constant == 0.0
-        sent = self._sent if velocities else cast(Array, self.positions)
+        sent = self._sent if velocities else cast(Array, self.positions) + self.lead
         stopped = self.response.stopped
         self.response.update(positions, sent, cast(Array, self.positions) + self._offset, dt)
         if velocities:

@@ -431,3 +431,53 @@ def test_an_arm_that_sags_in_a_narrow_gap_comes_to_rest_and_tries_again_without_
     assert model.minimum(arm.configuration(last.true[-1])).distance > MARGIN - 3e-4
     robot.drives.sag[0] = 0.0
     assert "moving" in robot.go(1.0).statuses
+
+
+# Drives that are known.
+
+
+@pytest.mark.long
+def test_known_drives_are_led_so_that_the_arm_is_where_the_motion_is() -> None:
+    arm = template_arm("RyRz", 1)
+    errors = {}
+    wrong = DriveModel(lag=0.26, friction=0.09)
+    for name, told in {"unknown": None, "known": DriveModel(), "wrong": wrong}.items():
+        robot = Robot(arm, DriveModel(), drives=told)
+        off = []
+        for cycle in range(600):
+            phase = 2.0 * np.pi * 0.3 * DT * (cycle + 1)
+            goal = np.full(arm.nv, 0.4 * np.sin(phase))
+            velocity = np.full(arm.nv, 0.4 * 2.0 * np.pi * 0.3 * np.cos(phase))
+            target = Target.from_configuration(arm, arm.configuration(goal))
+            robot.tracker.update(target, velocity=velocity)
+            robot.go(DT)
+            off.append(np.abs(robot.drives.positions - goal).max())
+        errors[name] = np.mean(off[300:])
+    assert errors["known"] < 0.01 < 0.1 < errors["unknown"]
+    assert errors["wrong"] < 0.04
+
+
+@pytest.mark.long
+def test_an_arm_with_known_drives_comes_to_rest_at_its_target() -> None:
+    arm = template_arm("RyRz", 1)
+    log = aimed(arm, DriveModel(), drives=DriveModel()).go(8.0)
+    assert log.statuses[-1] == "converged"
+    assert np.abs(log.true[-1] - 0.3).max() < 2e-3
+    wrong = aimed(arm, DriveModel(), drives=DriveModel(lag=0.26, friction=0.09)).go(8.0)
+    assert wrong.statuses[-1] in ("converged", "stalled")  # as without the model
+    assert np.abs(wrong.true[-1] - 0.3).max() < 5e-3
+
+
+def test_the_lead_ends_at_position_limits_and_is_for_positions_alone() -> None:
+    arm = template_arm("RyRz", 1)
+    tracker = Tracker(arm, limits=LIMITS, drives=DriveModel(friction=0.5))
+    most = arm.limits.upper - 0.01
+    tracker.update(Target.from_configuration(arm, arm.configuration(arm.limits.upper)))
+    for _ in range(20):
+        tracker.step(arm.configuration(most))
+        assert np.all(tracker.positions <= arm.limits.upper + 1e-12)
+        np.testing.assert_allclose(arm.positions(tracker.command), tracker.positions)
+    with pytest.raises(pp.PostureError, match=r"drives is .*None for drives that are sent velocities"):
+        Tracker(arm, limits=LIMITS, drives=DriveModel(), interface="velocity")
+    with pytest.raises(pp.PostureError, match="a DriveModel, or None"):
+        Tracker(arm, limits=LIMITS, drives="slow")
