@@ -319,7 +319,7 @@ class Tracker:
 
     @property
     def command(self) -> Array:
-        """The configuration to send to position-controlled drives, (nq,).
+        """The commanded configuration, (nq,); `positions` are what to send to its drives.
 
         Raises:
             InvalidValue: before the first measurement.
