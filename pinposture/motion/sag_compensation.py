@@ -60,11 +60,15 @@ class SagCompensation:
         self.offset = np.zeros(arm.nv)
         self.cut = np.zeros(arm.nv)
         self.take(limits)
+        self.smooth()
 
     def take(self, limits: Limits) -> None:
-        """Take other limits, at rest."""
+        """Take other limits with the same smoothing; another one takes effect with `smooth`."""
         self._limits = shared(limits, self.arm, RESERVED)
         self._period = cycle_of(limits)
+
+    def smooth(self) -> None:
+        """Smooth steps as the limits need it from now on, at rest."""
         self._smoothing = SmoothSteps(self.arm, self._limits)
         self._stop(self.offset)
 

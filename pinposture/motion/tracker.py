@@ -665,6 +665,7 @@ class Tracker:
         self._loop.filter = SmoothSteps(self.arm, self._of_command(self._limits))
         if self._sag is not None:
             self._sag.take(self._limits)
+            self._sag.smooth()
 
     def _judge_arrival(self, feedback: FeedbackState, dt: float) -> None:
         """Judge from the measurements so far whether the arm is at its target, and settle there."""

@@ -167,3 +167,21 @@ def test_it_starts_anew_where_the_arm_is() -> None:
     np.testing.assert_allclose(tracker.positions, arm.compensate(GOAL), atol=1e-9)
     tracker.restart(np.zeros(arm.nv), dq=np.full(arm.nv, 0.001))
     np.testing.assert_allclose(tracker.positions, arm.compensate(np.zeros(arm.nv)), atol=1e-9)
+
+
+def test_limits_that_change_in_motion_are_kept_at_once() -> None:
+    arm = elastic(4.0)
+    tracker = Tracker(arm, limits=LIMITS, compensate=True)
+    tracker.update(pp.Target.from_configuration(arm, GOAL))
+    q = np.zeros(arm.nv)
+    sent = []
+    for number in range(60):
+        if number in (6, 9, 12):
+            tracker.limits = pp.Limits(step=None, dt=DT, velocity=1.5, acceleration=6.0 + number)
+        tracker.step(q)
+        assert not tracker.report.violated_constraints
+        sent.append(tracker.positions)
+        q = resting(arm, sent[-1], q)
+    changes = np.abs(np.diff(sent, n=2, axis=0))
+    assert changes[:4].max() <= 6.0 * DT**2 * (1.0 + 1e-6)
+    assert changes.max() <= 18.0 * DT**2 * (1.0 + 1e-6)
