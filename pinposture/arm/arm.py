@@ -88,6 +88,7 @@ from pinposture.arm.weight import (
     effort_limits,
     largest_payload,
     links_without_mass,
+    load_of,
     parts_without_mass,
     stiffness_matrix,
     weighted_model,
@@ -977,18 +978,6 @@ class Arm(ConfigurationSpace):
         """Those of `links_without_mass` that are fixed to links with mass, and count with them."""
         return tuple(parts_without_mass(self._described, self.weight, self.links_without_mass))
 
-    def load_of(self, column: int, torque: float, limit: float) -> JointLoad:
-        """Return the load of the drive behind a degree of freedom.
-
-        Args:
-            column: the degree of freedom, an index into `joint_names`.
-            torque: size of the torque or force along it [N m or N].
-            limit: the largest one [N m or N].
-        """
-        drive = self.drives[column]
-        ratio = abs(drive.ratio)
-        return JointLoad(drive.joint, torque / ratio, limit / ratio, not drive.turns)
-
     def held_out(self) -> HeldOut | None:
         """Return how far the arm can be held straight out, with gravity from the worst direction.
 
@@ -1006,7 +995,7 @@ class Arm(ConfigurationSpace):
         shares = torques / self.effort[columns]
         weak = np.flatnonzero(shares > 1.0 + TORQUE_ROUNDING)
         first = int(weak[-1]) if len(weak) else int(shares.argmax())
-        load = self.load_of(int(columns[first]), float(torques[first]), float(self.effort[columns[first]]))
+        load = load_of(self.drives[columns[first]], float(torques[first]), float(self.effort[columns[first]]))
         leaders = self.chain.leaders
         begin = 0 if not len(weak) else int([*leaders, len(self.chain.joints)][first + 1])
         line = np.vstack([state.origins, state.points[-1]])[begin:]
@@ -1415,7 +1404,7 @@ class ArmState(ABC):
             return None
         torques = np.abs(self._gravity_torques())
         worst = int((torques / arm.effort).argmax())
-        return arm.load_of(worst, float(torques[worst]), float(arm.effort[worst]))
+        return load_of(arm.drives[worst], float(torques[worst]), float(arm.effort[worst]))
 
     @abstractmethod
     def _gravity_torques(self) -> Array:

@@ -583,6 +583,18 @@ class JointLoad(NamedTuple):
         return f"joint {self.joint!r} needs {self.needed:.4g} of {self.limit:.4g} {self.unit}"
 
 
+def load_of(drive: Drive, torque: float, limit: float) -> JointLoad:
+    """Return the load of the drive behind a degree of freedom.
+
+    Args:
+        drive: the drive.
+        torque: size of the torque or force along the degree of freedom [N m or N].
+        limit: the largest one [N m or N].
+    """
+    ratio = abs(drive.ratio)
+    return JointLoad(drive.joint, torque / ratio, limit / ratio, not drive.turns)
+
+
 class HeldOut(NamedTuple):
     """How far an arm can be held straight out, with gravity from whichever direction is worst for a joint.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ChainState, JointLoad
+from pinposture.arm.weight import load_of
 from pinposture.control.constraint import VIOLATION_ROUNDING, Sides
 from pinposture.control.limits import Limits
 from pinposture.errors import InvalidValue
@@ -52,7 +53,7 @@ class TorqueLimits:
         """Return the joint that needs most of its limit at joint positions (nv,)."""
         torques = np.abs(self._arm.dynamics.gravity_torques(positions))
         worst = int((torques / self._limits).argmax())
-        return self._arm.load_of(worst, float(torques[worst]), float(self._limits[worst]))
+        return load_of(self._arm.drives[worst], float(torques[worst]), float(self._limits[worst]))
 
     def describe(self, positions: Array) -> tuple[str, ...]:
         """Return a message if a limit is exceeded at joint positions (nv,)."""
