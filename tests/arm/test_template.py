@@ -194,11 +194,3 @@ def test_a_bad_template_is_refused_by_name(fields, name):
 def test_templates_cannot_be_changed_in_place():
     with pytest.raises(dataclasses.FrozenInstanceError):
         template("Rz").radius = 1.0
-
-
-def test_what_was_added_and_is_no_template_is_refused(monkeypatch):
-    monkeypatch.setitem(TEMPLATES, "mine", (JointSpec("y"), 0.1))
-    with pytest.raises(InvalidValue, match=r"TEMPLATES\['mine'\] is .*a ModuleTemplate"):
-        pp.Arm.from_template("mine", 3)
-    monkeypatch.setitem(TEMPLATES, "mine", ModuleTemplate("mine", (JointSpec("y"),), (0.1,)))
-    assert pp.Arm.from_template("mine", 3).nv == 3
