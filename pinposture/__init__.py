@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         Scan,
         Scene,
         Sphere,
+        curve_around,
         weigh,
     )
     from pinposture.control import (
@@ -118,6 +119,7 @@ __all__ = [
     "Trajectory",
     "Withdrawal",
     "animate",
+    "curve_around",
     "find_path",
     "fit_points",
     "follow",
@@ -200,6 +202,7 @@ _PACKAGES = {
         "Scan",
         "Scene",
         "Sphere",
+        "curve_around",
         "weigh",
     ),
     "placement": ("PointFilter", "Target", "fit_points", "resolve_targets"),

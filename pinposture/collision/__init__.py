@@ -7,6 +7,7 @@ from pinposture.collision.scan import Scan
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Sphere
 from pinposture.collision.weighing import weigh
+from pinposture.collision.wrapping import curve_around
 
 __all__ = [
     "Bend",
@@ -23,6 +24,7 @@ __all__ = [
     "Scan",
     "Scene",
     "Sphere",
+    "curve_around",
     "obstacle_from_dict",
     "pipe",
     "pipe_axis",
