@@ -221,6 +221,15 @@ def scene() -> Figure:
     return figure
 
 
+def wrapped() -> Figure:
+    """A long arm wrapped around a column."""
+    arm = pp.Arm.from_template("RyRz", modules=40)
+    column = pp.Cylinder((0.8, 0.2, -0.5), (0.8, 0.2, 0.5), radius=0.15)
+    curve = pp.curve_around(column, start=(0, 0, 0), gap=0.03, turns=1.25, direction=(1, 0, 0))
+    target = pp.resolve_targets(arm, curve, placement="as_is")
+    return pp.plot_arm(arm, target.q, scene=pp.Scene({"column": column}))
+
+
 def clutter() -> Figure:
     """A problem of each kind of `make study STUDY=clutter`, and its run."""
     arm = situation_arm()
@@ -357,7 +366,7 @@ CONCEPTS: dict[str, Callable[[], Figure]] = {
     drawing.__name__: drawing
     for drawing in (
         *(modules, target, ellipsoids, active, direct, limits),
-        *(scene, clutter, between, helix, keyframes),
+        *(scene, wrapped, clutter, between, helix, keyframes),
     )
 }
 """The pictures that are drawn here."""
