@@ -44,7 +44,7 @@ GAP_TOLERANCE = 0.01
 """Share of the gap by which the approach may come nearer."""
 
 
-class Body(NamedTuple):
+class WrappedBody(NamedTuple):
     """A convex obstacle, as it is wrapped.
 
     Attributes:
@@ -73,7 +73,7 @@ class Body(NamedTuple):
         return np.array(found)
 
 
-class Outline:
+class RoundedOutline:
     """The closed curve at a distance around the convex hull of points in a plane, counterclockwise.
 
     It consists of an arc about each corner of the hull, followed by a straight line to the next one.
@@ -203,7 +203,7 @@ def curve_around(
     if turns < 0.0:
         frame = frame * np.array([[1.0], [-1.0], [1.0]])  # mirrored
     local = body.points @ frame.T
-    outline = Outline(local[:, :2], reach)
+    outline = RoundedOutline(local[:, :2], reach)
     middle = 0.5 * (local[:, 2].min() + local[:, 2].max())
     rise = pitch * abs(turns)
     first = _heading("direction", direction)
@@ -231,7 +231,7 @@ def curve_around(
     return Curve.points(points)
 
 
-def _body(obstacle: Obstacle, axis: ArrayLike | None) -> Body:
+def _body(obstacle: Obstacle, axis: ArrayLike | None) -> WrappedBody:
     """Return an obstacle as it is wrapped about an axis; None: its own."""
     if not isinstance(obstacle, WRAPPABLE):
         known = ", ".join(kind.__name__ for kind in WRAPPABLE if kind is not MeshShape)
@@ -240,25 +240,27 @@ def _body(obstacle: Obstacle, axis: ArrayLike | None) -> Body:
     shape = obstacle.geometry
     if isinstance(shape, Sphere):
         up = np.array([0.0, 0.0, 1.0])
-        return Body(shape.solid(), np.array([shape.center]), shape.radius, up if about is None else about)
+        return WrappedBody(
+            shape.solid(), np.array([shape.center]), shape.radius, up if about is None else about
+        )
     if isinstance(shape, Capsule | Cylinder):
         ends = np.array([shape.start, shape.end])
         own = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         about = own if about is None else about
         if shape.primitive != CYLINDER or float(np.linalg.norm(np.cross(own, about))) < PARALLEL:
-            return Body(shape.solid(), ends, shape.radius, about)
+            return WrappedBody(shape.solid(), ends, shape.radius, about)
         rim = _circle(shape.radius) @ _frame(own)[:2]
-        return Body(shape.solid(), np.vstack([end + rim for end in ends]), 0.0, about)
+        return WrappedBody(shape.solid(), np.vstack([end + rim for end in ends]), 0.0, about)
     if isinstance(shape, Box):
         solid = shape.solid()
         signs = np.array(np.meshgrid(*np.tile([-1.0, 1.0], (3, 1)))).reshape(3, 8).T
         longest = solid.rotation[:, int(solid.half.argmax())]
         points = (signs * solid.half) @ solid.rotation.T + solid.center
-        return Body(solid, points, 0.0, longest if about is None else about)
+        return WrappedBody(solid, points, 0.0, longest if about is None else about)
     hull = Mesh(shape.vertices, shape.center, shape.rotation)
     points = hull.vertices @ np.array(hull.rotation).T + np.array(hull.center)
     longest = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][0]
-    return Body(hull.solid(), points, 0.0, longest if about is None else about)
+    return WrappedBody(hull.solid(), points, 0.0, longest if about is None else about)
 
 
 def _heading(name: str, value: ArrayLike | None) -> Array | None:
@@ -279,7 +281,7 @@ def _circle(radius: float) -> Array:
     return np.asarray(radius / np.cos(np.pi / RIM_POINTS) * np.column_stack([np.cos(angles), np.sin(angles)]))
 
 
-def _touching(outline: Outline, start: Array, heading: Array | None) -> float:
+def _touching(outline: RoundedOutline, start: Array, heading: Array | None) -> float:
     """Return the arc length at which a curve from a start, (3,), in some direction, runs into an outline."""
     source = start[:2]
     place = outline.at(np.array([outline.nearest(source)]))[0][0]
