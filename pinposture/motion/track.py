@@ -146,7 +146,7 @@ def track(
 
     start = arm.checked_start(q0, "q0")
     require_instance("strict", strict, bool, "True or False")
-    if strict:
+    if strict and limits.effort is not None:
         require_held(arm, start, limits, "q0")
         if target.q is not None:
             require_held(arm, target.q, limits, "target.q")

@@ -633,7 +633,8 @@ class Avoidance:
         close = np.flatnonzero(near.distances < self.margin - 1e-9 * self._length)
         words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
         more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
-        return (*words[:MAX_NAMED_PAIRS], *more, *self._describe_broken(state))
+        broken = self._describe_broken(state) if self.constrained else ()
+        return (*words[:MAX_NAMED_PAIRS], *more, *broken)
 
     def _describe_broken(self, state: ChainState) -> tuple[str, ...]:
         """Describe the constraints and the torque limit that are violated at a state."""

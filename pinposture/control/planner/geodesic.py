@@ -376,7 +376,7 @@ def _continue_path(now: _Situation) -> Step | None:
     before = now.before
     if before is None or before.timed.bounds is not now.bounds or not now.limited_only:
         return None
-    if not before.timed.is_held:
+    if now.bounds.effort is not None and not before.timed.is_held:
         return None
     objective = before.timed.path.objective
     same = objective.target is now.target and objective.arm is now.state.arm
@@ -465,7 +465,7 @@ def _follow_path(now: _Situation) -> Step:
         progress = PathProgress.begin(progress.timed, now.previous)
     objective = progress.timed.path.objective
     avoidance = Avoidance.of(controller.scene, objective, now.bounds, now.previous, controller.offset)
-    if now.limited_only and not progress.arrived and progress.timed.is_held:
+    if avoidance is not None and now.limited_only and not progress.arrived and progress.timed.is_held:
         avoidance = None
     if avoidance is None and progress is not before:
         step = fast_step(progress, state, now.bounds, now.previous)
