@@ -93,7 +93,9 @@ def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> No
     (placement,) = re.findall(r"^# (placement = \{[^#]*\})", text, re.MULTILINE)
     (both,) = re.findall(r"or (\{ turning = .*\})", text)
     fed = text.replace(f"# {feed}", feed).replace(f"# {placement}", placement)
-    per_kind = (('"360 deg/s^2"', both), ('"3600 deg/s^3"', both.replace("^2", "^3")))
+    loads = '{ turning = "3 N m", sliding = "30 N" }'
+    jerks = both.replace("^2", "^3")
+    per_kind = (('"360 deg/s^2"', both), ('"3600 deg/s^3"', jerks), ('"3 N m"', loads))
     for old, new in (('"90 deg/s"', "2"), *per_kind, ('"2 deg"', "0")):
         fed = fed.replace(old, new)
     file.write_text(fed)
