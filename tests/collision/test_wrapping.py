@@ -6,7 +6,7 @@ import coal
 import numpy as np
 import pytest
 from arms import template_arm
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
@@ -98,7 +98,6 @@ def test_the_outline_of_a_box_has_its_sides_and_a_full_arc() -> None:
     assert far.length - curve.length == pytest.approx(2.0 * (0.1 + 0.2) + 2.0 * np.pi * gap, rel=1e-3)
 
 
-@settings(max_examples=15)
 @given(
     size=st.tuples(*[st.floats(0.05, 0.3)] * 3),
     turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3),

@@ -14,8 +14,8 @@ from PIL import Image
 
 DOCS = Path(__file__).parents[2] / "docs"
 CONCEPTS = (
-    *("modules", "target", "ellipsoids", "active", "direct", "limits", "scene", "clutter", "between"),
-    *("helix", "keyframes"),
+    *("modules", "target", "ellipsoids", "active", "direct", "limits", "scene", "wrapped"),
+    *("clutter", "between", "helix", "keyframes"),
 )
 
 
