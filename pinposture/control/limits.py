@@ -356,6 +356,8 @@ def _read_limit(value: Any, info: ValidationInfo) -> float | Array:
     name = str(info.field_name)
     limit = value if source is None else _limit_in_file(value, name, source.arm)
     allowed = "a positive number, or one for each degree of freedom"
+    if name == "effort":
+        allowed = f"True, {allowed}"
     with refusing():
         array = as_floats(name, limit, allowed)
     if isinstance(limit, bool) or array.ndim > 1 or array.size == 0 or not np.all(array > 0.0):
@@ -422,8 +424,6 @@ def _read_effort(value: Any, info: ValidationInfo) -> bool | float | Array:
     """Read torque limits: those of the arm, or others."""
     if value is True:
         return True
-    if value is False:
-        raise NotAllowed(value, "True, a positive number, or one for each degree of freedom")
     return _read_limit(value, info)
 
 
