@@ -32,7 +32,7 @@ class TorqueLimits:
         self._effort = (1.0 - VIOLATION_ROUNDING) * effort  # what counts as none is kept, too
         self._limited = np.flatnonzero(np.isfinite(effort))
         self._scale = arm.length / self._effort[self._limited]
-        self._names = tuple(f"torque of joint {arm.joint_names[joint]!r}" for joint in self._limited)
+        self._names = tuple(f"torque of joint {arm.drives[joint].joint!r}" for joint in self._limited)
 
     def sides(self, state: ChainState) -> Sides:
         """Return both bounds of each torque at a state."""
