@@ -356,10 +356,15 @@ def test_what_is_no_configuration_is_refused(call: str, q) -> None:
     ],
     ids=["pickle", "copy", "dict", "specification", "another length", "torque limits"],
 )
-@pytest.mark.parametrize("stiffness", [30.0, dict.fromkeys(template_arm("RyRz", 2).joint_names, 40.0), None])
-def test_stiffness_stays_with_the_arm(again, stiffness) -> None:
+@pytest.mark.parametrize("kind", ["a number", "by name", "a matrix"])
+def test_stiffness_stays_with_the_arm(again, kind: str) -> None:
     arm = template_arm("RyRz", 2)
-    arm = arm.with_stiffness(3.0 * np.eye(4) + 0.5 if stiffness is None else stiffness)
+    if kind == "a number":
+        arm = arm.with_stiffness(30.0)
+    elif kind == "by name":
+        arm = arm.with_stiffness(dict.fromkeys(arm.joint_names, 40.0))
+    else:
+        arm = arm.with_stiffness(3.0 * np.eye(4) + 0.5)
     other = again(arm)
     assert other.weight.stiffness == arm.weight.stiffness
     np.testing.assert_array_equal(other.stiffness, arm.stiffness)

@@ -162,7 +162,7 @@ def test_what_makes_no_loop_is_refused(options, name):
         run(Follower(six_modules(), 0.1), **options)
 
 
-@pytest.mark.parametrize("wrong", [None, 3, "helix", pp.Curve.line((0, 0, 0), (1, 0, 0))])
+@pytest.mark.parametrize("wrong", [None, 3, "helix", pp.Sphere((0, 0, 0), 0.1)])
 def test_what_a_function_of_targets_returns_is_checked(wrong):
     with pytest.raises(InvalidValue, match=r"targets\(0\.02\).*a Target"):
         run(Follower(six_modules(), 0.1), targets=lambda time: bent() if time < 0.01 else wrong)

@@ -25,6 +25,8 @@ IN_SI = {
     "mass": {"kg": 1, "g": 1 / 1000, "t": 1000},
     "mass per length": {"kg/m": 1, "g/m": 1 / 1000, "t/m": 1000},
     "moment of inertia": {"kgm^2": 1},
+    "stiffness": {"N/m": 1, "N/mm": 1000, "kN/m": 1000},
+    "stiffness of turning": {"Nm/rad": 1, "Nm/deg": 360 / math.tau, "kNm/rad": 1000},
     "torque": {"Nm": 1, "Ncm": 1 / 100, "mNm": 1 / 1000, "kNm": 1000},
     "force": {"N": 1, "mN": 1 / 1000, "kN": 1000},
 }

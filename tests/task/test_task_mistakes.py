@@ -235,9 +235,9 @@ def test_all_mistakes_are_named_at_once_each_with_its_line(tmp_path: Path) -> No
 
     assert reasons(("cycle =", "cycel ="), ("velocity =", "velocty =")) == [
         "line 11: limits.cycel: there is no such key (did you mean 'cycle'?); allowed: "
-        "cycle, step, velocity, acceleration, jerk, position_margin",
+        "cycle, step, velocity, acceleration, jerk, effort, position_margin",
         "line 12: limits.velocty: there is no such key (did you mean 'velocity'?); allowed: "
-        "cycle, step, velocity, acceleration, jerk, position_margin",
+        "cycle, step, velocity, acceleration, jerk, effort, position_margin",
     ]
     found = reasons(('"20 ms"', '"20 mm"'), ('"1 s"', '"1 m"'), ('"0.5 s"', "true"))
     assert [each.split(":")[0] for each in found] == ["line 21", "line 34", "line 11"]

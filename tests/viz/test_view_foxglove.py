@@ -140,8 +140,12 @@ def test_joints_are_those_that_drives_move(watch: Any) -> None:
     robot = Robot(dict(zip(DRIVES, (0.2, -0.05, 0.7, 0.1, -0.3), strict=True)))
     viewer, client = watch(driven)
     viewer.show(driven.configuration(driven.drives.joint_positions(robot.states())))
-    found = client.snapshot(lambda found: "/joint_states" in found)
-    assert positions(found["/joint_states"]) == pytest.approx(robot.driven)
+
+    def arrived(found: dict[str, Any]) -> bool:
+        shown = "/joint_states" in found
+        return shown and positions(found["/joint_states"]) == pytest.approx(robot.driven)
+
+    assert list(positions(client.snapshot(arrived)["/joint_states"])) == list(DRIVES)
 
 
 def test_links_may_have_the_names_of_the_world_and_of_drawings(arm: pp.Arm, watch: Any) -> None:
