@@ -82,6 +82,7 @@ def examples() -> dict[str, Any]:
     path = a_path()
     return {
         "arm": arm,
+        "JointTrajectory.compensated.arm": arm.with_stiffness(50.0),
         "Run.reported.name": "scale",
         "Run.reported.default": 1.0,
         "state": arm.at(np.full(6, 0.2)),
@@ -270,9 +271,7 @@ SUBJECTS: dict[str, Callable[[], Any]] = {
     "EndEffector": lambda: pp.EndEffector(position=(0.1, 0.0, 0.1)),
     "Geodesic": pp.Geodesic,
     "JointPosture": lambda: pp.JointPosture(np.zeros(6)),
-    "JointTrajectory": lambda: pp.JointTrajectory.from_configurations(
-        an_arm().with_stiffness(50.0), np.zeros((3, 6)), 0.1
-    ),
+    "JointTrajectory": lambda: pp.JointTrajectory.from_configurations(an_arm(), np.zeros((3, 6)), 0.1),
     "Limits": lambda: examples()["limits"],
     "ModuleTemplate": lambda: pp.template("RyRz"),
     "PointFilter": lambda: pp.PointFilter(an_arm(), 0.02, 1e-4),
