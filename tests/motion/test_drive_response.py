@@ -256,10 +256,9 @@ def test_the_measured_tip_takes_its_task_in_spite_of_sag_that_changes(
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize(("modules", "seed"), [(6, 2), (10, 0)])
-def test_a_sagging_arm_with_a_task_comes_to_rest_and_does_not_stall(modules: int, seed: int) -> None:
-    arm = template_arm("RyRz", modules)
-    rng = np.random.default_rng(seed)
+def test_a_sagging_arm_with_a_task_comes_to_rest_and_does_not_stall() -> None:
+    arm = template_arm("RyRz", 6)
+    rng = np.random.default_rng(2)
     goal = rng.uniform(-0.4, 0.4, arm.nv)
     wanted = tip_of(arm, goal)
     controller = pp.Geodesic(tasks=(pp.EndEffector(pose=wanted, priority=True),))

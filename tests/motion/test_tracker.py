@@ -381,10 +381,12 @@ def test_memory_does_not_grow() -> None:
     tracemalloc.start()
     q = cycles(300, q)  # what was remembered before is replaced by what counts
     before = traced()
-    cycles(1000, q)
+    cycles(2000, q)
     grown = traced() - before
     tracemalloc.stop()
-    assert grown < 100_000  # less than an array in each cycle; limits of the last cycles are remembered
+    # Less than an array in each cycle, 320 kB. Limits and calls of the last cycles are remembered: that goes
+    # up and down between 70 and 140 kB.
+    assert grown < 200_000
 
 
 def test_the_report_tells_the_time_of_a_cycle_and_whether_it_was_too_long(
