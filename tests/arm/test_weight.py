@@ -507,6 +507,7 @@ def test_a_long_snake_is_held_out_as_far_as_its_last_eight_modules() -> None:
     assert short.payload == pytest.approx((7.0 - 0.3 * G * 0.065 * 36 / 2) / (G * 6 * 0.065))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_no_direction_of_gravity_is_worse_than_the_worst(seed: int) -> None:
     rng = np.random.default_rng(seed)

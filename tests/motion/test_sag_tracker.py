@@ -63,6 +63,7 @@ def test_the_loaded_arm_is_where_the_target_is_without_any_feedback() -> None:
     assert plain.report.status == "stalled"
 
 
+@pytest.mark.long
 def test_feedback_corrects_what_is_left_of_a_wrong_payload() -> None:
     arm = elastic()
     guess = template_arm("RyRz", 5).with_payload(0.08).with_stiffness(8.0)
@@ -77,6 +78,7 @@ def test_feedback_corrects_what_is_left_of_a_wrong_payload() -> None:
     np.testing.assert_allclose(corrected[-1], GOAL, atol=2e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("limits", [LIMITS, SMOOTH], ids=["acceleration", "jerk"])
 @pytest.mark.parametrize("durations", [(None,), (0.02, 0.007, 0.03, 0.015)], ids=["even", "uneven"])
 def test_what_is_sent_keeps_all_limits(limits: pp.Limits, durations) -> None:
@@ -108,6 +110,7 @@ def test_what_is_sent_keeps_all_limits(limits: pp.Limits, durations) -> None:
     np.testing.assert_allclose(tracker.positions, arm.compensate(arm.configuration(q)), atol=1e-5)
 
 
+@pytest.mark.long
 def test_limits_can_be_replaced_on_the_way() -> None:
     arm = elastic(4.0)
     tracker = Tracker(arm, limits=LIMITS, compensate=True)

@@ -68,6 +68,7 @@ def rows_to(arm: pp.Arm, goal: np.ndarray, count: int = 60) -> np.ndarray:
     return arm.integrate(arm.neutral(), smooth[:, None] * arm.difference(arm.neutral(), goal))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", ARMS.values(), ids=ARMS)
 def test_a_simulated_arm_rests_where_it_sags_and_compensation_puts_it_where_it_should_be(make) -> None:
     arm = make()
@@ -157,6 +158,7 @@ def test_turns_of_continuous_joints_stay_in_the_commands() -> None:
     assert np.abs(motion.compensated(arm).positions - positions).max() < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", ARMS.values(), ids=ARMS)
 def test_a_tracker_that_compensates_needs_no_feedback(make) -> None:
     arm = make()
