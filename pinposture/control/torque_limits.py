@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,7 +34,10 @@ class TorqueLimits:
         self._effort = (1.0 - VIOLATION_ROUNDING) * effort  # what counts as none is kept, too
         self._limited = np.flatnonzero(np.isfinite(effort))
         self._scale = arm.length / self._effort[self._limited]
-        self._names = tuple(f"torque of joint {arm.drives[joint].joint!r}" for joint in self._limited)
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(f"torque of joint {self._arm.drives[joint].joint!r}" for joint in self._limited)
 
     def sides(self, state: ChainState) -> Sides:
         """Return both bounds of each torque at a state."""

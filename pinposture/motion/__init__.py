@@ -2,7 +2,7 @@
 
 from pinposture.motion.actuators import Actuators, Tendon
 from pinposture.motion.batch import Batch
-from pinposture.motion.drive_model import DriveModel
+from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.files import load, save
 from pinposture.motion.identification import (
     DriveEstimate,

@@ -236,15 +236,16 @@ class _Problem:
         for segment, parameters in zip(segments, left_out, strict=True):
             at = self._segments == segment
             off[at] = (self._predict(parameters) - self._measured)[at]
-        return explained_share(self._series, off), float(np.sqrt(np.mean(off**2)))
+        positions = [each.positions for each in self._series]
+        return explained_share(positions, off), float(np.sqrt(np.mean(off**2)))
 
     def _predict(self, parameters: Array) -> Array:
         return np.asarray(np.concatenate([each.predict(parameters) for each in self._series]))
 
 
-def explained_share(series: Sequence[Series], off: Array) -> float:
+def explained_share(positions: Sequence[Array], off: Array) -> float:
     """Return the share of the variance of positions that is explained, given the deviations of all."""
-    variance = sum(float(np.sum((each.positions - each.positions.mean()) ** 2)) for each in series)
+    variance = sum(float(np.sum((each - each.mean()) ** 2)) for each in positions)
     return 1.0 - float(off @ off) / max(variance, 1e-30)
 
 

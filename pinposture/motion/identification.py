@@ -23,10 +23,11 @@ from pinposture.motion.drive_fit import (
     SEGMENTS,
     Fit,
     Series,
+    explained_share,
     fit_drives,
     fit_gain,
 )
-from pinposture.motion.drive_model import DriveModel
+from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.joint_trajectory import METRE, RADIAN
 from pinposture.motion.log import Log
 
@@ -258,8 +259,8 @@ class Identification:
         found = self.predict(log).values()
         if not found:
             raise InvalidValue("log", log, "a log in which a joint of the arm moved")
-        off = sum(float(np.sum((each.measured - each.predicted) ** 2)) for each in found)
-        return 1.0 - off / sum(float(np.sum((each.measured - each.measured.mean()) ** 2)) for each in found)
+        off = np.concatenate([each.measured - each.predicted for each in found])
+        return explained_share([each.measured for each in found], off)
 
     def summary(self) -> dict[str, Any]:
         """Return it as JSON-compatible data."""
@@ -613,11 +614,12 @@ def _loads_of(arm: Arm, log: Log, columns: Mapping[str, _Column]) -> _Loads:
 def _torques_at(arm: Arm, positions: Array, gravity: Array) -> Array:
     """Return the torques that hold an arm at positions (k, nv) in gravity (k, 3), (k, nv) [N m or N]."""
     torques = np.zeros_like(positions)
+    q = np.array([arm.configuration(row) for row in positions])
+    still = np.zeros_like(positions)
     for axis, unit in enumerate(np.eye(3)):
         if np.any(gravity[:, axis]):
-            along = arm.with_gravity(unit)
-            of_unit = [along.at(arm.configuration(row)).gravity_torques for row in positions]
-            torques += gravity[:, axis, None] * np.array(of_unit)
+            of_unit = arm.with_gravity(unit).inverse_dynamics(q, still, still)
+            torques += gravity[:, axis, None] * of_unit
     return torques
 
 

@@ -34,7 +34,7 @@ from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Hindrance
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
-from pinposture.motion.drive_model import DriveModel
+from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
 from pinposture.motion.loop import Loop, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities

@@ -1,7 +1,7 @@
 """Simulate an arm with masses, servos and gravity in MuJoCo; needs the extra `[sim]`."""
 
 from pinposture.arm.mjcf import MujocoMissing
-from pinposture.motion.drive_model import DriveModel
+from pinposture.motion.drive_response import DriveModel
 from pinposture.sim.control_loop import (
     AnyMotion,
     SetPoints,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_array, finite_vector, require_positive
-from pinposture.motion.drive_model import DriveModel
+from pinposture.motion.drive_response import DriveModel
 
 Array = NDArray[np.float64]
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import pickle
 import re
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from arms import template_arm
+from arms import MADE_AGAIN, template_arm
 from scipy.optimize import brentq, minimize
 
 import pinposture as pp
@@ -344,18 +343,7 @@ def test_what_is_no_configuration_is_refused(call: str, q) -> None:
 # Saving.
 
 
-@pytest.mark.parametrize(
-    "again",
-    [
-        lambda arm: pickle.loads(pickle.dumps(arm)),
-        copy.deepcopy,
-        lambda arm: pp.Arm.from_dict(arm.to_dict()),
-        lambda arm: pp.Arm.from_spec(arm.spec),
-        lambda arm: arm.with_characteristic_length(0.3),
-        lambda arm: arm.with_effort(3.0),
-    ],
-    ids=["pickle", "copy", "dict", "specification", "another length", "torque limits"],
-)
+@pytest.mark.parametrize("again", MADE_AGAIN.values(), ids=MADE_AGAIN)
 @pytest.mark.parametrize("kind", ["a number", "by name", "a matrix"])
 def test_stiffness_stays_with_the_arm(again, kind: str) -> None:
     arm = template_arm("RyRz", 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import pickle
 import re
@@ -11,7 +10,7 @@ import warnings
 import numpy as np
 import pinocchio as pin
 import pytest
-from arms import template_arm
+from arms import MADE_AGAIN, template_arm
 
 import pinposture as pp
 from pinposture.arm import ArmSpec, continuum_section
@@ -447,17 +446,7 @@ def carrying() -> pp.Arm:
     return loaded.with_cable(0.1, 0, 2).with_effort({"j1": 9.0, "j3": 3.0}).with_gravity((0, G, 0))
 
 
-@pytest.mark.parametrize(
-    "again",
-    [
-        lambda arm: pickle.loads(pickle.dumps(arm)),
-        copy.deepcopy,
-        lambda arm: pp.Arm.from_dict(arm.to_dict()),
-        lambda arm: pp.Arm.from_spec(arm.spec),
-        lambda arm: arm.with_characteristic_length(0.3),
-    ],
-    ids=["pickle", "copy", "dict", "specification", "another length"],
-)
+@pytest.mark.parametrize("again", MADE_AGAIN.values(), ids=MADE_AGAIN)
 def test_what_an_arm_carries_stays_with_it(again) -> None:
     arm = carrying()
     other = again(arm)

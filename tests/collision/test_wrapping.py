@@ -6,7 +6,7 @@ import coal
 import numpy as np
 import pytest
 from arms import template_arm
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import pinposture as pp
@@ -113,7 +113,7 @@ def test_no_box_is_touched(
     try:
         curve = curve_around(box, START, 0.04, signed, axis=axis)
     except CurveError:
-        return  # it begins above the box, seen along the axis
+        assume(False)  # it begins above the box, seen along the axis
     assert distances(box, curve.resample(200)).min() > (1.0 - 0.011) * 0.04
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture._validation import require_instance, require_positive
-from pinposture.arm import Arm, ChainState, JointLoad
+from pinposture.arm import Arm, ChainState
+from pinposture.arm.weight import load_of
 from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
@@ -397,12 +398,7 @@ def _require_holdable(arm: Arm, held: Array, limit: Array) -> None:
     share = held / np.maximum(limit, 1e-300)
     sample, joint = np.unravel_index(int(share.argmax()), share.shape)
     if share[sample, joint] >= 1.0:
-        load = JointLoad(
-            joint=arm.joint_names[joint],
-            needed=float(held[sample, joint]),
-            limit=float(limit[joint]),
-            slides=bool(arm.in_metres[joint]),
-        )
+        load = load_of(arm.drives[joint], float(held[sample, joint]), float(limit[joint]))
         allowed = (
             f"{100.0 * EFFORT_SHARE:g} % of each torque limit, less friction; plan another path, or raise "
             "the limits with arm.with_effort(...)"
