@@ -389,6 +389,7 @@ def resolve_targets(
     arm: Arm,
     curve: Curve,
     samples: int = 2000,
+    *,
     placement: Literal["as_is", "translate", "align"] | None = None,
     roll: float = 0.0,
     incomplete: Literal["raise", "partial"] = "raise",

@@ -19,6 +19,7 @@ from pinposture._validation import is_usable, is_whole, require_instance
 from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN, SLACK
 from pinposture.collision import Scene
+from pinposture.control.planner.damped_least_squares import PlanningProblem
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.reach import bring_to_goal
@@ -659,7 +660,8 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
         return np.zeros(arm.nv)
     objective = Objective(arm, target_at(arm, keyframe, target, q), (keyframe.tip,))
     edges = np.array([arm.limits.lower, arm.limits.upper])
-    state = find_goal(objective, arm.chain_at(q), edges, None, POSTURE_TOLERANCE * arm.length).state
+    problem = PlanningProblem(objective, arm.chain_at(q), edges)
+    state = find_goal(problem, POSTURE_TOLERANCE * arm.length).state
     missed = 0.0
     if keyframe.tip.priority:  # the posture gives way: a compromise can end at a distance from the goal
         state, missed = bring_to_goal(arm, keyframe.tip, state)

@@ -12,7 +12,7 @@ from arms import template_arm
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control.planner import geodesic, plan
-from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.damped_least_squares import PlanningProblem
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import find_path
 from pinposture.errors import InvalidValue, PostureError, UnknownName
@@ -337,9 +337,9 @@ def test_a_moving_drive_that_loses_a_turn_and_stands_is_commanded_from_there() -
 def test_noise_does_not_plan_again_for_an_arm_with_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
     plans: list[object] = []
 
-    def counted(objective: Objective, *arguments: object, **named: object) -> JointPath:
-        plans.append(objective)
-        return find_path(objective, *arguments, **named)
+    def counted(problem: PlanningProblem, *arguments: object, **named: object) -> JointPath:
+        plans.append(problem)
+        return find_path(problem, *arguments, **named)
 
     for module in (geodesic, plan):
         monkeypatch.setattr(module, "find_path", counted)

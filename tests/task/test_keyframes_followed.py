@@ -173,7 +173,7 @@ def test_one_method_serves_the_whole_motion_unless_a_keyframe_asks_for_its_own()
     promises(mixed)
     assert mixed.marks[2].target.method == "sequential"
     assert mixed.marks[2].target.residual.max() < 1e-8
-    alone = pp.resolve_targets(arm, keyframes[2].curve, 200_000, "align", method="sequential")
+    alone = pp.resolve_targets(arm, keyframes[2].curve, 200_000, placement="align", method="sequential")
     assert np.abs(mixed.configuration(mixed.marks[2].row) - alone.q).max() < 1e-6
 
 

@@ -623,10 +623,6 @@ class Avoidance:
     def _rounding(self) -> float:
         return 1e-12 * self._length
 
-    def _slack(self) -> float:
-        """Violation of a constraint that counts as rounding [m]."""
-        return VIOLATION_ROUNDING * self._length
-
     def describe_violations(self, state: ChainState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin, and the constraints that are violated."""
         near = self.near(state)

@@ -58,6 +58,22 @@ CURVATURE_CORRECTIONS = 4
 """How often a step is corrected for the second-order errors of tasks with priority."""
 
 
+class PlanningProblem(NamedTuple):
+    """What is planned, none of which changes in the course of a plan.
+
+    Attributes:
+        objective: the objective.
+        start: the state of the arm.
+        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        avoidance: the obstacles to avoid; None: none.
+    """
+
+    objective: Objective
+    start: ChainState
+    edges: Array
+    avoidance: Avoidance | None = None
+
+
 class StepBounds(NamedTuple):
     """Constraints on one step.
 
@@ -260,10 +276,8 @@ def correct_curvature(
 
 
 def minimize(
-    objective: Objective,
+    problem: PlanningProblem,
     state: ChainState,
-    edges: Array,
-    avoidance: Avoidance | None,
     good: float,
     allowed: float = 0.0,
     steps: int = MAX_SEARCH_STEPS,
@@ -273,15 +287,14 @@ def minimize(
     In a scene, a state that violates the margin first becomes clear, and then stays so.
 
     Args:
-        objective: the objective.
+        problem: objective, limits and obstacles.
         state: the initial state.
-        edges: smallest and largest joint positions, (2, nv) [rad or m].
-        avoidance: the obstacles to avoid; None: none.
         good: mean distance of the control points from their targets at which the search ends [m], unless
             there are further tasks.
         allowed: violation of the margin that is accepted [m].
         steps: largest number of steps.
     """
+    objective, _, edges, avoidance = problem
     if avoidance is None and not objective.tasks:
         return _minimize_alone(objective, state, edges, good, steps)
     columns = objective.columns

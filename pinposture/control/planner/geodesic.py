@@ -17,7 +17,7 @@ from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits, stopping_steps
 from pinposture.control.planner.avoidance import Avoidance, ClearStep
-from pinposture.control.planner.damped_least_squares import StepBounds, solve_posture
+from pinposture.control.planner.damped_least_squares import PlanningProblem, StepBounds, solve_posture
 from pinposture.control.planner.follow import (
     MAX_DEVIATION,
     GeodesicMemory,
@@ -208,20 +208,20 @@ class Geodesic:
             attempt = 0
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
-        path = self._find_path(progress.objective, state, limits, attempt)
+        path = self._find_path(self._problem(progress.objective, state, limits), attempt)
         return PathProgress(timed_again(path, limits, effort=progress.timed.effort))
 
-    def _find_path(
-        self, objective: Objective, state: ChainState, limits: Limits, attempt: int = 0
-    ) -> JointPath:
-        bounds = limits.for_arm(state.arm)
-        avoidance = Avoidance.of(self.scene, objective, bounds)
+    def _find_path(self, problem: PlanningProblem, attempt: int = 0) -> JointPath:
         if self.plans:
-            return find_path(objective, state, bounds, avoidance, attempt)
-        path = None if attempt or objective.tasks else short_path(objective, state, None, bounds, avoidance)
+            return find_path(problem, attempt)
+        path = None if attempt or problem.objective.tasks else short_path(problem)
         if path is None:
             raise PlanNeeded(attempt)
         return path
+
+    def _problem(self, objective: Objective, state: ChainState, limits: Limits) -> PlanningProblem:
+        bounds = limits.for_arm(state.arm)
+        return PlanningProblem(objective, state, bounds.edges, Avoidance.of(self.scene, objective, bounds))
 
     def _plan(
         self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None, effort: bool
@@ -230,18 +230,16 @@ class Geodesic:
 
         `effort` is as for `retime`.
         """
-        bounds = limits.for_arm(state.arm)
         target.check(state.arm)
         objective = self._objective(state, target, progress)
-        avoidance = Avoidance.of(self.scene, objective, bounds)
-        fast = avoidance is None and not objective.has_tasks  # wherever the target has gone
+        problem = self._problem(objective, state, limits)
+        fast = problem.avoidance is None and not objective.has_tasks  # wherever the target has gone
         if progress is None or not (fast or is_small_change(progress.objective, objective)):
-            path = self._find_path(objective, state, limits)
+            path = self._find_path(problem)
             return PathProgress(timed_again(path, limits, effort=effort))
         idle = progress.idle_travel >= MAX_IDLE_TRAVEL
         place = np.inf if progress.arrived or progress.path.attempt or idle else progress.place
-        given = progress.path, place, progress.bend, objective, state, bounds, avoidance
-        path, bend = replan(*given, prompt=not self.plans)
+        path, bend = replan(progress.path, place, progress.bend, problem, prompt=not self.plans)
         if bend is None:
             return PathProgress(timed_again(path, limits, effort=effort))
         return progress.bent_to(path, bend, limits)
@@ -527,8 +525,8 @@ def plan_from(
         The progress at the start of the path, without objective and scene; see `adopt_plan`.
     """
     state = arm.chain_at(q)
-    objective = controller.objective(arm, target)
-    path = controller._find_path(objective, state, limits, attempt)
+    problem = controller._problem(controller.objective(arm, target), state, limits)
+    path = controller._find_path(problem, attempt)
     progress = PathProgress.begin(timed_again(path, limits), previous)
     bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
     return progress.along(progress.path.revised(**bare))._replace(expected=state.raw_positions)

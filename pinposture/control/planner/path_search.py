@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ChainState, smooth_configuration
-from pinposture.control.planner.avoidance import Avoidance
-from pinposture.control.planner.damped_least_squares import minimize
+from pinposture.control.planner.damped_least_squares import PlanningProblem, minimize
 from pinposture.control.planner.objective import Objective
 from pinposture.placement import Target
 
@@ -81,11 +80,8 @@ class PathSearch:
     """Deterministic search for a clear path between two configurations.
 
     Args:
-        objective: the objective of the path.
-        start: start of the path.
+        problem: what is planned, with obstacles to avoid.
         goal: end of the path.
-        edges: smallest and largest joint positions, (2, nv) [rad or m].
-        avoidance: the obstacles to avoid.
         least: the distance to keep along the path [m].
         seed: seed of the random numbers.
         until: time of `perf_counter` at which the search ends.
@@ -93,26 +89,21 @@ class PathSearch:
 
     def __init__(
         self,
-        objective: Objective,
-        start: ChainState,
+        problem: PlanningProblem,
         goal: ChainState,
-        edges: Array,
-        avoidance: Avoidance,
         least: float,
         seed: int = 0,
         until: float = inf,
     ) -> None:
-        self.arm = objective.arm
-        self.edges = edges
-        self.avoidance = avoidance
-        self.objective = objective
-        self.start = start
+        self.problem = problem
+        self.arm = problem.objective.arm
         self.least = least
         self.until = until
+        objective, self._start, edges, self._avoidance = problem
         self._goal = goal
         self._rng = np.random.default_rng(seed)
         self._share = min(1.0, FEW_JOINTS / len(objective.columns))
-        self._positions = self.arm.positions(start.q)
+        self._positions = self.arm.positions(self._start.q)
         lowest, highest = edges - self._positions
         farthest = self._share * MAX_TURN * self.arm.joint_units * self.arm.moved
         self._sides = (
@@ -123,7 +114,7 @@ class PathSearch:
     def find(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
         """Return a clear path, shortened; None if none was found. `tell` is called with each attempt."""
         tell("tree search")
-        end = np.asarray(self.arm.difference(self.start.q, self._goal.q))
+        end = np.asarray(self.arm.difference(self._start.q, self._goal.q))
         joined = self._connect(np.zeros(self.arm.nv), end, JOIN_NODES)
         found_by = "tree search"
         if joined is None:
@@ -133,7 +124,7 @@ class PathSearch:
 
     def is_clear(self, path: Array) -> bool:
         """Whether straight motions between offsets, (N + 1, nv), are clear, given that the first one is."""
-        return self.avoidance.keeps(self.start.q, path, self.least)
+        return self._avoidance is None or self._avoidance.keeps(self._start.q, path, self.least)
 
     # Withdrawal.
 
@@ -152,10 +143,6 @@ class PathSearch:
             if joined is not None:
                 return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
         return None
-
-    def state_at(self, offset: Array) -> ChainState:
-        """Return the state at an offset, (nv,)."""
-        return self.start.moved(offset)
 
     # Tree search.
 
@@ -204,7 +191,7 @@ class PathSearch:
             return np.asarray(rng.uniform(*self._sides))
         if kind < 0.5 * (1.0 + UNIFORM_SHARE):
             q = smooth_configuration(arm, rng, self._share * float(rng.uniform(0.1, MAX_AMPLITUDE)))
-            offset = np.asarray(arm.difference(self.start.q, q))
+            offset = np.asarray(arm.difference(self._start.q, q))
         else:
             offset = one + rng.uniform(-0.2, 1.2) * (other - one)
             offset = offset + self._share * NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
@@ -215,7 +202,7 @@ class PathSearch:
     def _shorten(self, offsets: Array) -> Array:
         """Straighten parts of a path where that is clear and shorter, for all or some consecutive joints."""
         path = self._divide(offsets)
-        columns = self.objective.columns
+        columns = self.problem.objective.columns
         for number in range(SHORTCUTS):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
             if j - i < 2:
@@ -243,7 +230,7 @@ class PathSearch:
         return np.concatenate(parts)
 
     def _length(self, path: Array) -> float:
-        return float(self.objective.measure_pieces(self._positions, path).sum())
+        return float(self.problem.objective.measure_pieces(self._positions, path).sum())
 
 
 class _Tree:
@@ -290,7 +277,7 @@ class _Withdrawal:
     def __init__(self, search: PathSearch, offset: Array) -> None:
         self._search = search
         self.offsets = [offset]
-        self._state = search.state_at(offset)
+        self._state = search.problem.start.moved(offset)
         self._curve = np.vstack([search.arm.chain.base, self._state.placements.points])
         lengths = np.linalg.norm(np.diff(self._curve, axis=0), axis=1)
         self._places = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -330,12 +317,15 @@ class _Withdrawal:
             self._over = True
             return False
         points = np.column_stack([np.interp(places, self._places, axis) for axis in self._curve.T])
+        problem = search.problem
         objective = Objective(
-            arm, Target.from_points(arm, points, weights), constraints=search.objective.constraints
+            arm, Target.from_points(arm, points, weights), constraints=problem.objective.constraints
         )
-        avoidance = search.avoidance.for_objective(objective)
+        avoidance = problem.avoidance
+        if avoidance is not None:
+            avoidance = avoidance.for_objective(objective)
         good = WITHDRAWAL_ERROR * arm.length
-        found = minimize(objective, self._state, search.edges, avoidance, good)
+        found = minimize(problem._replace(objective=objective, avoidance=avoidance), self._state, good)
         if found.mean_error > good:
             return False
         change = np.asarray(arm.difference(self._state.q, found.state.q))

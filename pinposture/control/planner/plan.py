@@ -20,7 +20,12 @@ from pinposture.control.constraint import Constraint
 from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
-from pinposture.control.planner.damped_least_squares import MAX_QUICK_STEPS, LeastSquaresResult, minimize
+from pinposture.control.planner.damped_least_squares import (
+    MAX_QUICK_STEPS,
+    LeastSquaresResult,
+    PlanningProblem,
+    minimize,
+)
 from pinposture.control.planner.objective import (
     GOAL_TOLERANCE,
     PRIORITY_WEIGHT,
@@ -106,6 +111,7 @@ def plan(
     target: Target,
     scene: Scene | None = None,
     limits: Limits | None = None,
+    *,
     tasks: Sequence[ControlTask] = (),
     joint_weight: float = 0.2,
     relative_position_weight: float = 1.0,
@@ -151,20 +157,18 @@ def plan(
     )
     bounds = require_limits(limits).for_arm(state.arm)
     avoidance = Avoidance.of(scene, objective, bounds)
+    problem = PlanningProblem(objective, state.chain_state, bounds.edges, avoidance)
     began = perf_counter()
 
     def report(trying: str, best: JointPath | None) -> None:
         if progress is not None and progress(trying, perf_counter() - began, best) is True:
             raise KeyboardInterrupt
 
-    return find_path(objective, state.chain_state, bounds, avoidance, 0, began + budget, report)
+    return find_path(problem, until=began + budget, report=report)
 
 
 def find_path(
-    objective: Objective,
-    state: ChainState,
-    bounds: JointBounds,
-    avoidance: Avoidance | None,
+    problem: PlanningProblem,
     attempt: int = 0,
     until: float = inf,
     report: Report | None = None,
@@ -173,34 +177,33 @@ def find_path(
     """Find the goal configuration and the most direct clear path to it.
 
     Args:
-        objective: the objective.
-        state: the state of the arm.
-        bounds: the limits of the joints.
-        avoidance: the obstacles to avoid; None: none.
+        problem: what is planned.
         attempt: number of abandoned paths; each attempt tries other paths.
         until: time of `perf_counter` after which no further path is tried.
         report: progress callback. If given, a `KeyboardInterrupt` ends the search, which then returns the
             best path so far.
         goal: the state at the goal; None: it is searched.
     """
+    objective, state, edges, avoidance = problem
     good = GOAL_TOLERANCE * objective.arm.length
+    unhindered = problem._replace(avoidance=None)
     if avoidance is None or avoidance.only_torques:
         # The usual goal, if the motors hold the arm there.
         if goal is None and not objective.tasks:
-            goal = _known_goal(objective, bounds, state.q)
+            goal = _known_goal(objective, edges, state.q)
         if goal is None:
-            goal = find_goal(objective, state, bounds.edges, None, good).state
+            goal = find_goal(unhindered, good).state
         if avoidance is not None and avoidance.violation(goal) > 0.0:
             goal = None
     if goal is None:
-        goal = find_goal(objective, state, bounds.edges, avoidance, good).state
+        goal = find_goal(problem, good).state
     path = None
     if avoidance is not None and avoidance.only_torques and not attempt:
-        direct = _clearest_path(objective, state, goal, bounds, None, attempt, until, report)
+        direct = _clearest_path(unhindered, goal, attempt, until, report)
         if avoidance.tolerating(state, goal).keeps_constraints(state.q, direct.offsets).all():
             path = direct
     if path is None:
-        path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until, report)
+        path = _clearest_path(problem, goal, attempt, until, report)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
     scene = None if avoidance is None else avoidance.clearance.scene
     return replace(path, scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal))
@@ -237,30 +240,22 @@ def _task_errors(
     return here if share >= 1.0 else (here - share * last.errors) / (1.0 - share), last.errors
 
 
-def short_path(
-    objective: Objective,
-    state: ChainState,
-    goal: ChainState | None,
-    bounds: JointBounds,
-    avoidance: Avoidance | None,
-) -> JointPath | None:
+def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> JointPath | None:
     """Return the most direct path to a goal if it is short and clear, which is found well within a cycle.
 
     Args:
-        objective: the objective; its tasks do not shape the path.
-        state: the state of the arm.
+        problem: what is planned; its tasks do not shape the path.
         goal: the state at the goal; None: that of the target, if it has one that is clear.
-        bounds: the limits of the joints.
-        avoidance: the obstacles to avoid; None: none.
     """
+    objective, state, edges, avoidance = problem
     if goal is None:
-        goal = _known_goal(objective, bounds, state.q)
+        goal = _known_goal(objective, edges, state.q)
         if goal is None or not (avoidance is None or avoidance.allows(goal)):
             return None
     motion = _size(objective, objective.arm.difference(state.q, goal.q))
     if motion * len(objective.columns) > MAX_SHORT_MOTION:
         return None
-    path = direct_path(objective, state.q, goal.q, bounds.edges)
+    path = direct_path(objective, state.q, goal.q, edges)
     path = replace(path, task_errors=_task_errors(objective, state, goal))
     if avoidance is None:
         return path
@@ -314,10 +309,7 @@ def shortcut(
 
 
 def find_goal(
-    objective: Objective,
-    state: ChainState,
-    edges: Array,
-    avoidance: Avoidance | None,
+    problem: PlanningProblem,
     good: float,
     before: ChainState | None = None,
     enough: float = 0.0,
@@ -333,15 +325,13 @@ def find_goal(
     consecutive ones agree, and returns the best.
 
     Args:
-        objective: the objective.
-        state: the state of the arm.
-        edges: smallest and largest joint positions, (2, nv) [rad or m].
-        avoidance: the obstacles to avoid; None: none.
+        problem: what is planned.
         good: mean distance of the control points from their targets that is good enough [m].
         before: first start if the target has no configuration: the goal of a similar target.
         enough: mean distance that is good enough in view of the error for that target [m].
         prompt: whether to raise `PlanNeeded` if the first search is not enough.
     """
+    objective, state, _, avoidance = problem
     known = objective.target.q is not None
     has_priority = any(task.priority for task in objective.tasks)
     # If a task with priority holds the arm, a distant goal may not be reachable: prefer one nearby.
@@ -349,8 +339,8 @@ def find_goal(
     better = MUCH_BETTER if held else 1.0
     # An arm that violates the margin at the start may do so at the goal by as much.
     allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
-    starts = _starts(objective, state, edges, held, before)
-    best = found = minimize(objective, next(starts), edges, avoidance, good, allowed)
+    starts = _starts(problem, held, before)
+    best = found = minimize(problem, next(starts), good, allowed)
     wanted = max(good, enough)
     agreeing = 1
     while agreeing < MAX_AGREEING and not (
@@ -361,7 +351,7 @@ def find_goal(
         start = next(starts, None)  # lazily, as computing one can take long
         if start is None:
             break
-        found = minimize(objective, start, edges, avoidance, good, allowed)
+        found = minimize(problem, start, good, allowed)
         alike = found.intrusion == best.intrusion == 0.0 and not objective.tasks
         agreeing = agreeing + 1 if alike and abs(found.cost - best.cost) <= SAME_COST * best.cost else 1
         if (found.intrusion, found.cost) < (best.intrusion, better * best.cost):
@@ -383,9 +373,9 @@ def _is_held(objective: Objective, state: ChainState) -> bool:
     return tasks is not None and float(np.linalg.norm(tasks.errors)) <= typical
 
 
-def _starts(
-    objective: Objective, state: ChainState, edges: Array, held: bool, before: ChainState | None
-) -> Iterator[ChainState]:
+def _starts(problem: PlanningProblem, held: bool, before: ChainState | None) -> Iterator[ChainState]:
+    objective = problem.objective
+    state = problem.start
     arm = objective.arm
     target = objective.target
     if before is not None and target.q is None:
@@ -393,24 +383,25 @@ def _starts(
     if held:
         yield state
     if target.q is not None:
-        yield _within_limits(objective, state, target.q, edges)
+        yield _within_limits(problem, target.q)
     if not held:
         yield state
     if target.q is None:
         for positions in initial_guesses(arm, target, arm.positions(state.q)):
-            yield _within_limits(objective, state, arm.configuration(positions), edges)
+            yield _within_limits(problem, arm.configuration(positions))
     rng = np.random.default_rng(0)
     for number in range(RANDOM_STARTS):
         origin = arm.straight() if number % 2 else state.q
         change = objective.displacement(RANDOM_SPREAD * rng.normal(size=len(objective.columns)))
-        yield _within_limits(objective, state, arm.integrate(origin, change), edges)
+        yield _within_limits(problem, arm.integrate(origin, change))
 
 
-def _within_limits(objective: Objective, state: ChainState, q: Array, edges: Array) -> ChainState:
+def _within_limits(problem: PlanningProblem, q: Array) -> ChainState:
     """Return the state at a configuration, clipped at the limits; joints that do not matter stay.
 
     Multi-turn joints take the turn nearest to the current state.
     """
+    objective, state, edges, _ = problem
     arm = objective.arm
     change = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, edges)))
     here = arm.positions(state.q)
@@ -427,14 +418,7 @@ def _within_limits(objective: Objective, state: ChainState, q: Array, edges: Arr
 
 
 def _clearest_path(
-    objective: Objective,
-    state: ChainState,
-    goal: ChainState,
-    bounds: JointBounds,
-    avoidance: Avoidance | None,
-    attempt: int,
-    until: float,
-    report: Report | None,
+    problem: PlanningProblem, goal: ChainState, attempt: int, until: float, report: Report | None
 ) -> JointPath:
     """Return a direct clear path; if none is found, the one with the largest clearance.
 
@@ -444,20 +428,21 @@ def _clearest_path(
     different initial guesses; one found by search and then relaxed; further relaxed paths. The first clear
     one is returned; if it is long, the shorter of it and the searched one.
     """
+    objective, state, edges, avoidance = problem
     start = state.q
 
     def relaxed(variant: int) -> JointPath:
         root = CLEARANCE_ROOTS[variant % len(CLEARANCE_ROOTS)]
         penalties = Penalties(tasks, avoidance, root, possible, until)
-        return direct_path(objective, start, goal.q, bounds.edges, penalties, variant)
+        return direct_path(objective, start, goal.q, edges, penalties, variant)
 
     tasks = _task_rows(objective, state, goal)
     if avoidance is None:
         penalties = None if tasks is None else Penalties(tasks)
-        return direct_path(objective, start, goal.q, bounds.edges, penalties, attempt)
+        return direct_path(objective, start, goal.q, edges, penalties, attempt)
     possible = _possible_clearance(avoidance, state, goal)
     avoidance = avoidance.tolerating(state, goal)
-    most_direct = direct_path(objective, start, goal.q, bounds.edges)
+    most_direct = direct_path(objective, start, goal.q, edges)
     short = MAX_DETOUR * most_direct.length
     clear: list[JointPath] = []
     hindered: list[tuple[tuple[float, float], JointPath]] = []
@@ -473,7 +458,8 @@ def _clearest_path(
             yield most_direct
         for k in range(more):
             if k == 1:
-                search = PathSearch(objective, state, goal, bounds.edges, avoidance, possible, attempt, until)
+                tolerant = problem._replace(avoidance=avoidance)
+                search = PathSearch(tolerant, goal, possible, attempt, until)
                 yield from _searched(search, tasks, tell)
             if not clear:
                 tell(f"relaxation {k + 1} of {more}")
@@ -522,11 +508,12 @@ def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], 
     found = search.find(tell)
     if found is None:
         return
-    raw = replace(JointPath(search.objective, search.start.q, found.offsets), found_by=found.found_by)
-    penalties = Penalties(tasks, search.avoidance, SEARCHED_ROOT, search.least, search.until)
+    objective, start, edges, avoidance = search.problem
+    raw = replace(JointPath(objective, start.q, found.offsets), found_by=found.found_by)
+    penalties = Penalties(tasks, avoidance, SEARCHED_ROOT, search.least, search.until)
     tell(f"relaxation of a path found by {found.found_by}")
     try:
-        relaxed = relax_path(search.objective, search.start.q, found.offsets, search.edges, penalties)
+        relaxed = relax_path(objective, start.q, found.offsets, edges, penalties)
     except KeyboardInterrupt:
         yield raw
         raise
@@ -579,10 +566,7 @@ def replan(
     path: JointPath,
     place: float,
     bend: Array | None,
-    objective: Objective,
-    state: ChainState,
-    bounds: JointBounds,
-    avoidance: Avoidance | None,
+    problem: PlanningProblem,
     prompt: bool = False,
 ) -> tuple[JointPath, Array | None]:
     """Update a path for a target close to the previous one.
@@ -594,18 +578,16 @@ def replan(
         path: the path to the previous target.
         place: position of the arm on it, in waypoints; infinite: the path cannot be reused.
         bend: displacement of its end so far, (nv,) [rad or m]; None: none.
-        objective: the current objective.
-        state: the state of the arm.
-        bounds: the limits of the joints.
-        avoidance: the obstacles to avoid; None: none. A bent path is not checked again, but each step is.
+        problem: what is planned now. A bent path is not checked again, but each step is.
         prompt: whether to raise `PlanNeeded` if more than a search for the goal and a short path is needed.
 
     Returns:
         The path; and the displacement of its end since it was planned, None for a new path.
     """
+    objective, state, edges, avoidance = problem
     arm = objective.arm
     before = path.configuration(path.end)
-    known = None if objective.has_tasks else _known_goal(objective, bounds, before)
+    known = None if objective.has_tasks else _known_goal(objective, edges, before)
     if known is not None and (avoidance is None or avoidance.allows(known)):
         goal = known
         clear = True
@@ -617,10 +599,10 @@ def replan(
         if avoidance is None and not objective.has_tasks:
             first = start if objective.target.q is None else None
             enough = _achievable_error(path.objective, objective, start)
-            found = find_goal(objective, state, bounds.edges, None, good, first, enough, prompt)
+            found = find_goal(problem, good, first, enough, prompt)
         else:  # a whole search takes long: this one goes on in the next cycle
             allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
-            found = minimize(objective, start, bounds.edges, avoidance, good, allowed, MAX_QUICK_STEPS)
+            found = minimize(problem, start, good, allowed, MAX_QUICK_STEPS)
         goal = found.state
         clear = found.intrusion == 0.0
     change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
@@ -628,14 +610,14 @@ def replan(
     too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         errors = _task_errors(objective, state, goal, path, place)
-        return replace(path.bent(place, change, bounds.edges), objective=objective, task_errors=errors), bent
+        return replace(path.bent(place, change, edges), objective=objective, task_errors=errors), bent
     new = None
     if not objective.has_tasks or _size(objective, arm.difference(state.q, goal.q)) <= MIN_PLANNED_MOTION:
-        new = short_path(objective, state, goal, bounds, avoidance)
+        new = short_path(problem, goal)
     if new is None and prompt:
         raise PlanNeeded
     if new is None:
-        new = find_path(objective, state, bounds, avoidance, goal=goal if clear else None)
+        new = find_path(problem, goal=goal if clear else None)
     return new, None
 
 
@@ -650,7 +632,7 @@ def _achievable_error(before: Objective, after: Objective, goal: ChainState) -> 
     return NOISE_FACTOR * (left + moved) if moved <= max(left, small) else 0.0
 
 
-def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> ChainState | None:
+def _known_goal(objective: Objective, edges: Array, before: Array) -> ChainState | None:
     """Return the state at the configuration of a target, if it is within limits and takes the posture.
 
     Multi-turn joints are within half a turn of a previous configuration.
@@ -659,8 +641,8 @@ def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> Cha
     q = objective.target.q
     if q is None or len(objective.active) < arm.n_modules:
         return None
-    goal = arm.chain_at(arm.nearest_turns(q, before, bounds.edges))
-    inside = kernels.position_excess(goal.raw_positions, bounds.edges, arm.kinematics.columns) == 0.0
+    goal = arm.chain_at(arm.nearest_turns(q, before, edges))
+    inside = kernels.position_excess(goal.raw_positions, edges, arm.kinematics.columns) == 0.0
     return goal if inside and objective.mean_error(goal) <= GOAL_TOLERANCE * arm.length else None
 
 

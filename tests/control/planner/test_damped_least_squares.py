@@ -11,7 +11,12 @@ from scipy.optimize import least_squares, nnls
 
 import pinposture as pp
 from pinposture.control.planner.avoidance import ConstraintRows
-from pinposture.control.planner.damped_least_squares import StepBounds, minimize, solve_posture
+from pinposture.control.planner.damped_least_squares import (
+    PlanningProblem,
+    StepBounds,
+    minimize,
+    solve_posture,
+)
 from pinposture.control.planner.objective import ChainSolver, Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
@@ -67,7 +72,7 @@ def test_points_out_of_reach_are_met_as_well_as_scipy_can(name: str) -> None:
     for seed in range(5):
         objective = Objective(arm, unreachable(arm, seed))
         start = np.random.default_rng(seed).uniform(*edges_of(arm))
-        found = find_goal(objective, arm.at(start), edges_of(arm), None, GOOD)
+        found = find_goal(PlanningProblem(objective, arm.at(start), edges_of(arm)), GOOD)
         assert arm.within_limits(found.state.q)
         assert found.cost == pytest.approx(objective.cost(found.state), rel=1e-12)
         worse.append(found.cost / best_of_many(objective, 4))
@@ -81,7 +86,7 @@ def test_reachable_points_are_reached(name: str) -> None:
         rng = np.random.default_rng(seed)
         start, goal = rng.uniform(*edges_of(arm), (2, arm.nv))
         objective = Objective(arm, pp.Target.from_points(arm, arm.at(goal).points))
-        found = find_goal(objective, arm.at(start), edges_of(arm), None, GOOD * arm.length)
+        found = find_goal(PlanningProblem(objective, arm.at(start), edges_of(arm)), GOOD * arm.length)
         assert found.mean_error <= GOOD * arm.length
         assert arm.within_limits(found.state.q)
 
@@ -90,7 +95,7 @@ def test_a_known_configuration_is_taken_as_it_is() -> None:
     arm = arm_named("spatial")
     goal = np.random.default_rng(0).uniform(*edges_of(arm))
     objective = Objective(arm, pp.Target.from_configuration(arm, goal))
-    found = find_goal(objective, arm.at(arm.straight()), edges_of(arm), None, GOOD)
+    found = find_goal(PlanningProblem(objective, arm.at(arm.straight()), edges_of(arm)), GOOD)
     np.testing.assert_allclose(found.state.q, goal, atol=1e-15)
 
 
@@ -99,7 +104,7 @@ def test_a_known_configuration_outside_the_limits_gives_the_nearest_inside() -> 
     goal = np.array([0.3, 1.6, -0.4, -1.5])
     with pytest.warns(PostureWarning, match="2 joints outside the limits"):
         objective = Objective(arm, pp.Target.from_configuration(arm, goal))
-    found = find_goal(objective, arm.at(arm.straight()), edges_of(arm), None, GOOD)
+    found = find_goal(PlanningProblem(objective, arm.at(arm.straight()), edges_of(arm)), GOOD)
     assert arm.within_limits(found.state.q)
     assert found.cost <= 1.001 * best_of_many(objective, 4)
 
@@ -111,9 +116,10 @@ def test_the_cost_never_rises_while_it_settles() -> None:
         rng = np.random.default_rng(seed)
         objective = Objective(arm, unreachable(arm, seed))
         start = arm.at(rng.uniform(*edges_of(arm)))
-        found = minimize(objective, start, edges_of(arm), None, GOOD)
+        problem = PlanningProblem(objective, start, edges_of(arm))
+        found = minimize(problem, start, GOOD)
         assert found.cost < objective.cost(start)
-        again = minimize(objective, found.state, edges_of(arm), None, GOOD)
+        again = minimize(problem, found.state, GOOD)
         assert again.cost <= found.cost
         assert again.cost >= 0.999 * found.cost  # it had settled
 
@@ -135,7 +141,7 @@ def test_a_strict_task_is_met_as_well_as_if_it_were_alone(name: str) -> None:
         alone = Objective(arm, pp.Target.from_points(arm, np.tile(place, (arm.n_modules, 1)), tip))
         least = np.sqrt(2.0 * best_of_many(alone, 4))
         both = Objective(arm, target, (EndEffector(position=place, priority=True),))
-        found = find_goal(both, arm.at(start), edges_of(arm), None, GOOD)
+        found = find_goal(PlanningProblem(both, arm.at(start), edges_of(arm)), GOOD)
         missed = float(np.linalg.norm(found.state.points[-1] - place))
         assert missed <= 1.02 * least + 1e-3 * arm.length, (seed, missed, least)
 

@@ -12,7 +12,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.control.planner.damped_least_squares import minimize
+from pinposture.control.planner.damped_least_squares import PlanningProblem, minimize
 from pinposture.control.planner.objective import Objective
 
 ARMS = {
@@ -83,7 +83,8 @@ def test_the_compiled_search_ends_in_a_minimum(name: str, seed: int) -> None:
     weights = np.where(np.arange(arm.n_modules) == 1, 0.0, rng.uniform(0.5, 2.0, arm.n_modules))
     objective = Objective(arm, pp.Target.from_points(arm, points, weights))
     edges = np.array([arm.limits.lower, arm.limits.upper])
-    found = minimize(objective, arm.chain_at(q), edges, None, 0.0)
+    start = arm.chain_at(q)
+    found = minimize(PlanningProblem(objective, start, edges), start, 0.0)
     chosen = np.flatnonzero(weights)
 
     def squares(at: np.ndarray) -> float:

@@ -14,6 +14,7 @@ from sampling import cases, seeds
 import pinposture as pp
 from pinposture.collision import CollisionModel
 from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.damped_least_squares import PlanningProblem
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import PathSearch
@@ -75,8 +76,8 @@ def search(scene: pp.Scene, start: np.ndarray, goal: np.ndarray, seed: int = 0) 
     bounds = pp.Limits().for_arm(arm())
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
-    states = (arm().chain_at(q) for q in (start, goal))
-    return PathSearch(objective, *states, bounds.edges, avoidance, MARGIN, seed)
+    problem = PlanningProblem(objective, arm().chain_at(start), bounds.edges, avoidance)
+    return PathSearch(problem, arm().chain_at(goal), MARGIN, seed)
 
 
 @pytest.mark.long
