@@ -10,7 +10,8 @@ from imports import Module
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 MOST_PARAMETERS = 7
-"""The most parameters of a function, `self` not counted."""
+"""The most parameters of a function, `self` not counted. Options of a public function that can only be passed by
+name are not counted either, because each call says what they are; elsewhere they are a class in the making."""
 
 MOST_PARAMETERS_OF_A_KERNEL = 12
 """The most of a kernel, which takes arrays and no objects."""
@@ -29,16 +30,36 @@ def constants(modules: Mapping[str, Module]) -> list[str]:
 
 def long_parameter_lists(modules: Mapping[str, Module]) -> list[str]:
     """Functions that take more than their kind may."""
+    public = _public_functions(modules)
     found = []
     for where, node in _nodes(modules):
         if not isinstance(node, Function):
             continue
         kernel = ".kernels." in where
         most = MOST_PARAMETERS_OF_A_KERNEL if kernel else MOST_PARAMETERS
-        given = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
+        given = node.args.posonlyargs + node.args.args
+        if node not in public:
+            given = given + node.args.kwonlyargs
         count = sum(each.arg not in ("self", "cls") for each in given)
         if count > most:
             found.append(f"{where}: {node.name} takes {count}")
+    return found
+
+
+def _public_functions(modules: Mapping[str, Module]) -> set[ast.AST]:
+    """Functions that a package lists in `__all__`, and the methods of the classes there."""
+    names = set()
+    for module in modules.values():
+        for node in module.tree.body if module.package else ():
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+                names |= set(ast.literal_eval(node.value))
+    found: set[ast.AST] = set()
+    for module in modules.values():
+        for node in module.tree.body:
+            if isinstance(node, Function) and node.name in names:
+                found.add(node)
+            elif isinstance(node, ast.ClassDef) and node.name in names:
+                found |= {each for each in node.body if isinstance(each, Function)}
     return found
 
 
