@@ -27,14 +27,14 @@ YIELD_TIME = 0.0005  # sleep after each cycle [s], for the other threads
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the playback, relative to real time
 
 
-class Rehearsed(NamedTuple):
+class PreviewResult(NamedTuple):
     """What came of a task."""
 
     motion: Trajectory | None  # its motion; None if there is none
     reason: str = ""  # why there is none; empty if there is one
 
 
-class Rehearsal:
+class Preview:
     """Computes motions of tasks, and keeps the last one.
 
     Only the last task counts; the motion of another task is abandoned at its next cycle.
@@ -42,7 +42,7 @@ class Rehearsal:
 
     def __init__(self) -> None:
         self._motions: Latest[Task, Trajectory] = Latest(
-            self._rehearse, "pinposture-rehearsal", same=operator.is_
+            self._perform, "pinposture-preview", same=operator.is_
         )
         self._progress = 0.0
 
@@ -56,16 +56,16 @@ class Rehearsal:
         """Progress of the motion being computed, in [0, 1]."""
         return self._progress if self.working else 0.0
 
-    def of(self, task: Task) -> Rehearsed | None:
+    def of(self, task: Task) -> PreviewResult | None:
         """Return the motion of a task; None if it is not known, or no longer."""
         done = self._motions.done
         if done is None or done.request is not task:
             return None
         if done.error is None:
-            return Rehearsed(done.answer)
+            return PreviewResult(done.answer)
         reason = " ".join(str(done.error).split())
         expected = isinstance(done.error, EXPECTED_ERRORS)
-        return Rehearsed(None, reason if expected else f"the motion could not be computed ({reason})")
+        return PreviewResult(None, reason if expected else f"the motion could not be computed ({reason})")
 
     def ask(self, task: Task) -> None:
         """Have the motion of a task computed, unless it was asked for last."""
@@ -79,7 +79,7 @@ class Rehearsal:
         """Abandon the motion, and wait until that is done."""
         self._motions.close()
 
-    def _rehearse(self, task: Task, outdated: Event) -> Trajectory:
+    def _perform(self, task: Task, outdated: Event) -> Trajectory:
         def report(progress: float) -> None:
             if outdated.is_set():
                 raise Outdated
@@ -111,7 +111,7 @@ class Playback:
     """The player of the motion of a task. It belongs to the editor's loop, as the session does.
 
     Attributes:
-        rehearsal: computes the motions.
+        preview: computes the motions.
         motion: the motion that is shown; None while the live arm is.
         playing: whether the motion is running, or will be as soon as there is one.
         waiting: whether a motion is to be shown that is not computed yet.
@@ -120,7 +120,7 @@ class Playback:
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self.rehearsal = Rehearsal()
+        self.preview = Preview()
         self.motion: Trajectory | None = None
         self.playing = False
         self.waiting = False
@@ -183,12 +183,12 @@ class Playback:
         self._set_time(0.0 if ended else at)
         self.playing = True
 
-    def rehearse(self, task: Task) -> None:
+    def compute_preview(self, task: Task) -> None:
         """Have the motion of a task computed and the result reported, but show nothing."""
-        known = self.rehearsal.of(task)
+        known = self.preview.of(task)
         if known is None or known.motion is None:
             self._reported = None
-        self.rehearsal.ask(task)
+        self.preview.ask(task)
 
     def pause(self) -> None:
         """Stop at the moment that is shown."""
@@ -214,7 +214,7 @@ class Playback:
     def stop(self) -> None:
         """Return to the live arm and to the beginning; a motion being computed for this is abandoned."""
         if self.waiting:
-            self.rehearsal.cancel()
+            self.preview.cancel()
         self.motion = None
         self._task = None
         self._last_moment = None
@@ -244,7 +244,7 @@ class Playback:
         """
         if self._task is not None and (self._task is not task or proposing):
             self.stop()
-        done = self.rehearsal.of(task)
+        done = self.preview.of(task)
         message = None
         if done is not None and self._reported is not task:
             self._reported = task
@@ -287,7 +287,7 @@ class Playback:
 
     def close(self) -> None:
         """End the thread."""
-        self.rehearsal.close()
+        self.preview.close()
 
     def _request(self, task: Task) -> None:
         """Show the motion of a task as soon as it is there."""
@@ -299,7 +299,7 @@ class Playback:
         self._last_moment = None
         self.waiting = True
         self._set_time(at)
-        self.rehearse(task)
+        self.compute_preview(task)
 
     def _set_time(self, at: float) -> None:
         self._from = at

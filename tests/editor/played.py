@@ -1,4 +1,4 @@
-"""What the tests of rehearsal, playback and export share: a motion, a clock that is set by hand."""
+"""What the tests of preview, playback and export share: a motion, a clock that is set by hand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.editor.playback import Rehearsal, Rehearsed
+from pinposture.editor.playback import Preview, PreviewResult
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver
 from pinposture.motion import Run, Trajectory
@@ -67,10 +67,10 @@ def moved() -> Trajectory:
     return short().perform()
 
 
-def done(rehearsal: Rehearsal, task: Task, patience: float = 60.0) -> Rehearsed:
+def done(preview: Preview, task: Task, patience: float = 60.0) -> PreviewResult:
     """What came of a task, waited for."""
     end = time.monotonic() + patience
-    while (found := rehearsal.of(task)) is None:
+    while (found := preview.of(task)) is None:
         assert time.monotonic() < end, "nothing came of the task"
         time.sleep(0.005)
     return found

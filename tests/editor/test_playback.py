@@ -29,8 +29,8 @@ def begun(task: Task | None = None) -> tuple[Session, Playback, Clock]:
     session = Session(task or short())
     clock = Clock()
     session.playback = Playback(clock)
-    session.playback.rehearsal.ask(session.task)
-    done(session.playback.rehearsal, session.task)
+    session.playback.preview.ask(session.task)
+    done(session.playback.preview, session.task)
     return session, session.playback, clock
 
 
@@ -68,7 +68,7 @@ def test_the_clock_only_counts_from_when_the_motion_is_there() -> None:
     playback.play(session.task)
     assert playback.waiting
     clock.now += 17.0
-    done(playback.rehearsal, session.task)
+    done(playback.preview, session.task)
     session.update_playback()
     assert playback.shown
     assert playback.time == 0.0
@@ -147,7 +147,7 @@ def test_editing_stops_it_and_the_next_motion_is_that_of_the_new_task() -> None:
     assert not playback.playing
     playback.play(session.task)
     assert playback.waiting
-    assert done(playback.rehearsal, session.task).motion is not moved()
+    assert done(playback.preview, session.task).motion is not moved()
 
 
 def test_a_proposal_stops_it_too() -> None:

@@ -63,8 +63,8 @@ def test_a_motion_that_is_paused_is_not_said_to_play() -> None:
     session = Session(short())
     clock = Clock()
     playback = session.playback = Playback(clock)
-    playback.rehearsal.ask(session.task)
-    done(playback.rehearsal, session.task)
+    playback.preview.ask(session.task)
+    done(playback.preview, session.task)
     playback.play(session.task)
     session.update_playback()
     clock.now += 0.2
@@ -80,8 +80,8 @@ def test_the_lap_that_is_shown_is_named() -> None:
     session = Session(short(repeat=3))
     playback = session.playback
     task = session.task
-    playback.rehearsal.ask(task)
-    motion = done(playback.rehearsal, task).motion
+    playback.preview.ask(task)
+    motion = done(playback.preview, task).motion
     assert motion is not None
     playback.seek(task, 0.0)
     session.update_playback()

@@ -191,16 +191,16 @@ class ExportButtons:
         put(self._bar, visible=now is not None)
         put(self._text, visible=now is not None)
         if now is not None:
-            progress = session.playback.rehearsal.progress
+            progress = session.playback.preview.progress
             put(self._bar, value=100.0 if running else float(round(100.0 * progress)))
             doing = "writing" if running else "computing the motion"
             put(self._text, content=f"*{now.kind}: {doing}*")
 
     def _start_next(self, session: Session) -> None:
         wanted = self._queue[0]
-        rehearsal = session.playback.rehearsal
-        working = rehearsal.working
-        done = rehearsal.of(wanted.task)
+        preview = session.playback.preview
+        working = preview.working
+        done = preview.of(wanted.task)
         if done is not None:
             self._queue.pop(0)
             if done.motion is not None:  # else a message has said why not
@@ -218,7 +218,7 @@ class ExportButtons:
     def _request(self, kind: str, client: viser.ClientHandle, session: Session) -> None:
         stem = session.path.stem if session.path is not None else session.task.name or "motion"
         self._queue.append(RequestedExport(kind, client, session.whole, stem))
-        session.playback.rehearse(session.whole)
+        session.playback.compute_preview(session.whole)
 
     def _report(self, done: Done[tuple[RequestedExport, Trajectory], str], session: Session) -> None:
         wanted = done.request[0]

@@ -417,8 +417,8 @@ class TimeAxis:
         about = f'id="timeline" data-gestures="{self._gestures}" onpointerdown="{escape(ON_PRESS)}"'
         put(self._strip, content=f'{HIDDEN}<div {about} style="{STYLES["strip"]}">{"".join(drawn)}</div>')
         moving = ""
-        if playback.rehearsal.working:
-            width = f"width:{100.0 * playback.rehearsal.progress:.0f}%"
+        if playback.preview.working:
+            width = f"width:{100.0 * playback.preview.progress:.0f}%"
             moving += self._at("line", 0.0, "", f"{width};background:{palette.REGULAR}", 'id="progress"')
         if playback.shown:
             moving += self._at("playhead", min(playback.time, self._length), "", "", 'id="playhead"')

@@ -84,7 +84,7 @@ def test_a_motion_is_taken_away_as_a_file(edit: Edit, look: Look, file: Path, tm
     window.says("walk.csv: joint positions, speeds and accelerations")
     window.picture("11-exported")
     loaded = pp.load(got, pp.JointTrajectory)
-    motion = wait_until(lambda: editor.session.playback.rehearsal.of(task), "it is kept").motion
+    motion = wait_until(lambda: editor.session.playback.preview.of(task), "it is kept").motion
     assert loaded.joint_names == motion.joint_trajectory().joint_names
     assert np.allclose(loaded.positions, motion.joint_trajectory().positions, atol=1e-9)
     assert loaded.time[-1] >= times_of(task)[-1]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from played import bent_spline, done, half_line, moved, short
 
-from pinposture.editor.playback import Rehearsal
+from pinposture.editor.playback import Preview
 from pinposture.motion import Trajectory
 from pinposture.task import Keyframe, Task
 
@@ -37,80 +37,80 @@ class Gate:
 
 
 def test_the_motion_is_that_of_the_task() -> None:
-    rehearsal = Rehearsal()
+    preview = Preview()
     task = short()
-    rehearsal.ask(task)
-    motion = done(rehearsal, task).motion
+    preview.ask(task)
+    motion = done(preview, task).motion
     assert motion is not None
     np.testing.assert_array_equal(motion.q, moved().q)
-    assert not rehearsal.working
-    rehearsal.close()
+    assert not preview.working
+    preview.close()
 
 
 def test_asking_returns_while_the_motion_is_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = Gate(monkeypatch)
-    rehearsal = Rehearsal()
+    preview = Preview()
     task = short()
-    rehearsal.ask(task)
+    preview.ask(task)
     assert gate.begun.acquire(timeout=30.0)
-    assert rehearsal.working
-    assert rehearsal.of(task) is None
-    assert rehearsal.progress == pytest.approx(0.5)  # the postures are found
+    assert preview.working
+    assert preview.of(task) is None
+    assert preview.progress == pytest.approx(0.5)  # the postures are found
     gate.open.release()
-    assert done(rehearsal, task).motion is moved()
-    rehearsal.close()
+    assert done(preview, task).motion is moved()
+    preview.close()
 
 
 def test_a_motion_that_is_known_is_not_worked_out_again(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = Gate(monkeypatch)
-    rehearsal = Rehearsal()
+    preview = Preview()
     task = short()
     gate.open.release(5)
     for _ in range(3):
-        rehearsal.ask(task)
-        done(rehearsal, task)
+        preview.ask(task)
+        done(preview, task)
     assert gate.finished == ["short"]
-    rehearsal.close()
+    preview.close()
 
 
 def test_only_the_task_that_was_asked_for_last_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = Gate(monkeypatch)
-    rehearsal = Rehearsal()
+    preview = Preview()
     first, second, third = (short(name=name) for name in ("first", "second", "third"))
-    rehearsal.ask(first)
+    preview.ask(first)
     assert gate.begun.acquire(timeout=30.0)
-    rehearsal.ask(second)
-    rehearsal.ask(third)
+    preview.ask(second)
+    preview.ask(third)
     gate.open.release(3)
-    assert done(rehearsal, third).motion is not None
+    assert done(preview, third).motion is not None
     assert gate.finished == ["third"]  # the first was given up at its next cycle, the second never began
-    assert rehearsal.of(first) is None
-    rehearsal.close()
+    assert preview.of(first) is None
+    preview.close()
 
 
 def test_what_is_cancelled_leaves_nothing_and_can_be_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = Gate(monkeypatch)
-    rehearsal = Rehearsal()
+    preview = Preview()
     task = short()
-    rehearsal.ask(task)
+    preview.ask(task)
     assert gate.begun.acquire(timeout=30.0)
-    rehearsal.cancel()
-    assert not rehearsal.working
+    preview.cancel()
+    assert not preview.working
     gate.open.release(2)
-    rehearsal.ask(task)
-    assert done(rehearsal, task).motion is moved()
+    preview.ask(task)
+    assert done(preview, task).motion is moved()
     assert gate.finished == ["short"]
-    rehearsal.close()
+    preview.close()
 
 
 def test_no_thread_is_left_after_closing(monkeypatch: pytest.MonkeyPatch) -> None:
     gate = Gate(monkeypatch)
-    rehearsal = Rehearsal()
-    rehearsal.ask(short())
+    preview = Preview()
+    preview.ask(short())
     assert gate.begun.acquire(timeout=30.0)
     gate.open.release()
-    rehearsal.close()
-    assert not [each for each in threading.enumerate() if each.name == "pinposture-rehearsal"]
+    preview.close()
+    assert not [each for each in threading.enumerate() if each.name == "pinposture-preview"]
 
 
 @pytest.mark.parametrize("from_a_file", [False, True])
@@ -118,12 +118,12 @@ def test_a_task_that_cannot_be_tells_which_keyframe_and_why(from_a_file: bool, t
     task = short(motion=(Keyframe(bent_spline(), trim=True), Keyframe(half_line(), time=1.0)))
     if from_a_file:
         task = Task.load(task.save(tmp_path / "task.toml"))
-    rehearsal = Rehearsal()
-    rehearsal.ask(task)
-    found = done(rehearsal, task)
+    preview = Preview()
+    preview.ask(task)
+    found = done(preview, task)
     assert found.motion is None
     assert found.reason.startswith("keyframe 2")
-    rehearsal.close()
+    preview.close()
 
 
 def test_a_fault_is_told_and_not_waited_for_in_vain(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,10 +131,10 @@ def test_a_fault_is_told_and_not_waited_for_in_vain(monkeypatch: pytest.MonkeyPa
         raise RuntimeError("lost a screw")
 
     monkeypatch.setattr(Task, "perform", fail)
-    rehearsal = Rehearsal()
+    preview = Preview()
     task = short()
-    rehearsal.ask(task)
-    found = done(rehearsal, task)
+    preview.ask(task)
+    found = done(preview, task)
     assert found.motion is None
     assert "lost a screw" in found.reason
-    rehearsal.close()
+    preview.close()
