@@ -10,8 +10,11 @@ from imports import Module
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 MOST_PARAMETERS = 7
-"""The most parameters of a function, `self` not counted. Options of a public function that can only be passed by
-name are not counted either, because each call says what they are; elsewhere they are a class in the making."""
+"""The most parameters of a function, `self` not counted.
+
+Not counted either are the options of a public function that can only be passed by name, because each call says
+what they are.
+"""
 
 MOST_PARAMETERS_OF_A_KERNEL = 12
 """The most of a kernel, which takes arrays and no objects."""

@@ -7,11 +7,11 @@
 
 Counted are files, definitions and constants; cycles of imports, at run time and with those that only types
 and functions need; imports that go up in the order of packages; names that two classes have; names of
-constants that mean two things where both are in sight; functions of many positional parameters; calls of kernels spread
-from a tuple; assignments that share a line; and the mechanisms that do one job. With `--flows` also the files
-in which a function runs and the calls that it takes: from `pp.track` to the first step of the default
-controller; while `pinposture run` performs a task file; and from a drag in the editor to the step of the
-controller, those of `control` not counted. Lines are printed and not limited: under a ceiling on lines,
+constants that mean two things where both are in sight; functions of many parameters by position; calls of
+kernels spread from a tuple; assignments that share a line; and the mechanisms that do one job. With `--flows`
+also the files in which a function runs and the calls that it takes: from `pp.track` to the first step of the
+default controller; while `pinposture run` performs a task file; and from a drag in the editor to the step of
+the controller, those of `control` not counted. Lines are printed and not limited: under a ceiling on lines,
 statements came to share one.
 """
 
