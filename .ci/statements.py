@@ -12,8 +12,8 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 MOST_PARAMETERS = 7
 """The most parameters of a function, `self` not counted.
 
-Not counted either are the options of a public function that can only be passed by name, because each call says
-what they are.
+Not counted either are the options of a public function that can only be passed by name, because each call
+says what they are.
 """
 
 MOST_PARAMETERS_OF_A_KERNEL = 12

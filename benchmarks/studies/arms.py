@@ -199,7 +199,7 @@ def _reference(arm: Arm, curve: Curve, starts: int = 6) -> float:
     straight = arm.positions(arm.straight())
     still = 1e-6 * arm.joint_units  # equal bounds would have no interior
     low, high = (
-        np.where(arm.roaming, straight + side * still, bound)
+        np.where(arm.base_slides, straight + side * still, bound)
         for side, bound in zip((-1.0, 1.0), arm.usual_positions, strict=True)
     )
     along = np.cumsum(arm.chain.module_lengths) / arm.length * min(arm.length, 0.99 * curve.length)

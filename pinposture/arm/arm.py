@@ -596,7 +596,7 @@ class Arm(ConfigurationSpace):
     def straight(self) -> Array:
         """Return the configuration of longest reach, (nq,); the neutral one for shipped templates.
 
-        Slides without real limits that carry the base (`roaming`) stay at zero.
+        Slides without real limits that carry the base (`base_slides`) stay at zero.
         """
         return self.configuration(self._stretched)
 
@@ -625,8 +625,8 @@ class Arm(ConfigurationSpace):
         # Revolute joints need no finite bounds: they are periodic.
         lower[~self.slides], upper[~self.slides] = np.array(self.limits[:2])[:, ~self.slides]
         fixed = np.clip(0.0, self.limits.lower, self.limits.upper)
-        lower = np.where(self.roaming, fixed, lower)
-        upper = np.where(self.roaming, fixed, upper)
+        lower = np.where(self.base_slides, fixed, lower)
+        upper = np.where(self.base_slides, fixed, upper)
         # Zero itself can be a stationary point, for instance if the arm is folded there.
         start = np.where(self.slides | (not straight), 1e-3 * units, 0.0)
         bounds = list(zip(lower / units, upper / units, strict=True))
@@ -695,16 +695,16 @@ class Arm(ConfigurationSpace):
         return _read_only(find_unlimited(self.limits.lower, self.limits.upper, self.slides, self.length))
 
     @cached_property
-    def roaming(self) -> NDArray[np.bool_]:
+    def base_slides(self) -> NDArray[np.bool_]:
         """True for the slides without real limits that carry the base, as in a mobile robot, (nv,).
 
         They come before the first revolute joint. They are at zero in the straight arm, and keep their
         positions when the arm takes the shape of a curve that begins at its base.
         """
-        roaming = np.zeros(self.nv, dtype=np.bool_)
+        slides = np.zeros(self.nv, dtype=np.bool_)
         revolute = ~self.slides[self.columns]
-        roaming[self.columns] = find_base_slides(self.unlimited[self.columns], revolute)
-        return _read_only(roaming)
+        slides[self.columns] = find_base_slides(self.unlimited[self.columns], revolute)
+        return _read_only(slides)
 
     @cached_property
     def usual_positions(self) -> tuple[Array, Array]:
@@ -1295,8 +1295,8 @@ class ArmState(ABC):
         for joints, point in zip(chain.module_slices, self.points, strict=True):
             line.extend(self.origins[joints])
             line.append(point)
-        roaming = int(self.arm.roaming.sum())
-        return _read_only(np.array(line[roaming + bool(roaming) :]))
+        count = int(self.arm.base_slides.sum())
+        return _read_only(np.array(line[count + bool(count) :]))
 
     @cached_property
     def angular_jacobians(self) -> Array:

@@ -225,12 +225,12 @@ def _bent_curve(s: Array, origin: Array, tangent: Array, turns: Array) -> Sample
 
 
 def base_positions(arm: Arm, curve: Curve, start: float) -> Array:
-    """Return the positions of slides that carry the base (`Arm.roaming`) to its point on the curve, (nv,).
+    """Return the positions of the `Arm.base_slides` that carry the base to its point on the curve, (nv,).
 
     All other entries are zero.
     """
     positions = np.zeros(arm.nv)
-    on_chain = arm.roaming[arm.columns]
+    on_chain = arm.base_slides[arm.columns]
     if np.any(on_chain):
         gap = curve.at(start) - arm.chain.base
         axes = arm.chain.axes[arm.chain.leaders[on_chain]]
@@ -280,11 +280,11 @@ class FitProblem:
         self._start = start
         self._bending = bending / arm.length
         movable = arm.limits.upper[arm.columns] - arm.limits.lower[arm.columns] > 0.0
-        columns = self.columns = arm.columns[movable & ~arm.roaming[arm.columns]]
+        columns = self.columns = arm.columns[movable & ~arm.base_slides[arm.columns]]
         self._joints = len(columns)
         self._rest = arm.positions(arm.straight())
         if base is not None:
-            self._rest = np.where(arm.roaming, base, self._rest)
+            self._rest = np.where(arm.base_slides, base, self._rest)
         sliding = np.where(arm.slides[columns], arm.length, 1.0)
         self._units = np.concatenate([sliding, np.full(arm.n_modules, arm.length)])
         lengths = arm.chain.module_lengths
@@ -340,7 +340,7 @@ class FitProblem:
         held = copy(self)
         fixed = np.flatnonzero(arm.slides[self.columns])
         held._rest = np.where(arm.slides, positions, self._rest)
-        lengths = _module_lengths(arm, np.where(arm.roaming, 0.0, held._rest)) / arm.length
+        lengths = _module_lengths(arm, np.where(arm.base_slides, 0.0, held._rest)) / arm.length
         held.lower = self.lower.copy()
         held.upper = self.upper.copy()
         held.lower[fixed] = held.upper[fixed] = positions[self.columns[fixed]] / self._units[fixed]
@@ -432,8 +432,8 @@ class SlidingFit(FitProblem):
         self._carried = joints < before[:, None]
         self._ratios = (chain.columns[:, None] == self.columns) * chain.ratios[:, None]
         long = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1) > ON_JOINT * arm.length
-        roaming = int(arm.roaming.sum())  # links begin after them, see `ArmState.links`
-        self._first = roaming + bool(roaming)
+        count = int(arm.base_slides.sum())  # links begin after them, see `ArmState.links`
+        self._first = count + bool(count)
         long[: self._first] = False
         self._sampled = np.concatenate([long, long])
         self._sampled[len(long) + self._points - 1] = False  # they are in the rows of `FitProblem`

@@ -428,7 +428,7 @@ def arm_units(arm: Arm) -> tuple[Unit, ...]:
     Registered kinematics take precedence. A module with two perpendicular hinges is a `Torus`, one with a
     roll and a hinge a `RollPitch`; parallel hinges are placed one by one as `Circle`s; others are
     `NumericModule`s. Trailing joints that do not move the end of their module belong to the next one if it
-    needs them, else they are not moved. Unlimited slides that carry the base (`Arm.roaming`) are excluded.
+    needs them, else they are not moved. `Arm.base_slides` are excluded.
 
     Raises:
         UnsupportedModule: no joint of a module moves its end.
@@ -499,7 +499,7 @@ def _find_units(arm: Arm) -> tuple[Unit, ...]:
     chain = arm.chain
     units = list[Unit]()
     own = [_registered(arm, k) for k in range(arm.n_modules)]
-    waiting = int(np.count_nonzero(arm.roaming[chain.columns]))  # the first free joint
+    waiting = int(np.count_nonzero(arm.base_slides[chain.columns]))  # the first free joint
     base = chain.base
     for k, (joints, end) in enumerate(zip(chain.module_slices, chain.points, strict=True)):
         claimed = own[k]

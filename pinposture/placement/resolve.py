@@ -183,11 +183,11 @@ class Walk:
         self._curve = curve
         self._samples = samples
         self.parameter, on_curve = beginning(arm, curve)
-        self.positions = np.where(arm.roaming, base_positions(arm, curve, self.parameter), preferred)
+        self.positions = np.where(arm.base_slides, base_positions(arm, curve, self.parameter), preferred)
         self._turn = np.eye(3)
         self._place = np.zeros(3)
         self._carried = 0
-        self._from_base = on_curve or bool(np.any(arm.roaming))
+        self._from_base = on_curve or bool(np.any(arm.base_slides))
 
     def place(self, unit: Unit) -> TargetError | None:
         """Place the next unit; return the error if that fails."""
@@ -417,7 +417,7 @@ def resolve_targets(
         placement: "as_is" uses the curve in place; "translate" moves its start to the base of the arm;
             "align" also rotates its first tangent onto the arm's axis by the smallest angle, and a plane
             curve into the plane of a planar arm. None aligns, with a `PostureWarning` if that moves the start
-            by more than a tenth of the arm length. A base on unlimited slides (`Arm.roaming`) stays in place,
+            by more than a tenth of the arm length. A base on `Arm.base_slides` stays in place,
             unless a curve used "as_is" does not pass through it: then the base moves to the curve's start.
         roll: additional rotation of an aligned curve about the arm's axis [rad].
         incomplete: what to do if a module cannot be placed: "raise" an error, or return a "partial" target
@@ -685,7 +685,7 @@ def _obstruction(
         advice = "move the curve, or widen their limits"
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
-    if gap > ON_CURVE * arm.length and not np.any(arm.roaming):
+    if gap > ON_CURVE * arm.length and not np.any(arm.base_slides):
         return CurveLeavesTooSharply, f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"

@@ -354,7 +354,7 @@ def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> t
 
 def fitting_slides(arm: Arm) -> NDArray[np.bool_]:
     """Return which degrees of freedom are slides that fit the length of the arm to a curve, (nv,)."""
-    return np.asarray(arm.slides & ~arm.roaming & (arm.limits.upper > arm.limits.lower))
+    return np.asarray(arm.slides & ~arm.base_slides & (arm.limits.upper > arm.limits.lower))
 
 
 def length_misfit(arm: Arm, curve: Curve) -> str:
@@ -369,13 +369,13 @@ def length_misfit(arm: Arm, curve: Curve) -> str:
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
     """Return the arc length of the point of a curve nearest to the base [m], and whether the base is on it.
 
-    A base on unlimited slides (`Arm.roaming`) that is not on the curve moves to the curve's start.
+    A base on `Arm.base_slides` that is not on the curve moves to the curve's start.
     """
     tolerance = ON_CURVE * arm.length
     if math.dist(curve.start, arm.chain.base) <= tolerance:
         return 0.0, True
     nearest, distance = curve.nearest(arm.chain.base)
-    if distance > tolerance and np.any(arm.roaming):
+    if distance > tolerance and np.any(arm.base_slides):
         return 0.0, False
     return float(nearest), float(distance) <= tolerance
 

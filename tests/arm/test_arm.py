@@ -322,7 +322,7 @@ def test_a_base_that_slides_without_real_limits_is_left_where_it_is(bound):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         arm = pp.Arm.load(arm_text(joints))
-    assert list(arm.roaming) == [True] * 2 + [False] * 6
+    assert list(arm.base_slides) == [True] * 2 + [False] * 6
     assert np.all(arm.positions(arm.straight())[:2] == 0.0)
     tip = arm.at(arm.straight()).points[-1]
     assert np.linalg.norm(tip - arm.chain.base) == pytest.approx(arm.length, rel=1e-6)
@@ -335,7 +335,7 @@ def test_real_limits_of_slides_are_drawn_from_to_their_ends():
     joints = [("prismatic", X, HERE, limit(0, 20)), *pairs(3)]
     arm = pp.Arm.load(arm_text(joints))
     drawn = [arm.positions(arm.random(np.random.default_rng(seed)))[0] for seed in range(200)]
-    assert not arm.roaming.any()
+    assert not arm.base_slides.any()
     assert 0.0 <= min(drawn) < 1.0
     assert 19.0 < max(drawn) <= 20.0
 
@@ -346,7 +346,7 @@ def test_hinges_with_limits_of_many_turns_are_drawn_from_one():
     drawn = np.abs([arm.positions(arm.random(np.random.default_rng(seed))) for seed in range(100)])
     assert np.all(drawn.max(axis=0)[[0, 2]] <= np.pi)
     assert np.all(drawn.max(axis=0)[[1, 3]] > 6.0)
-    assert not arm.roaming.any()
+    assert not arm.base_slides.any()
 
 
 @given(st.sampled_from([-1.0, 1.0]), st.floats(-14.0, -3.0), st.floats(-3.1, 3.1))

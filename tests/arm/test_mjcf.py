@@ -398,7 +398,7 @@ def test_joints_with_actuators_of_their_own_may_have_a_tendon() -> None:
     assert quiet(two_joints(after=CORD + PULL + coupled)).nv == 1
 
 
-def test_ball_joints_and_mocap_bodies_are_refused_and_a_floating_base_is_fixed() -> None:
+def test_ball_joints_and_mocap_bodies_are_refused_and_a_base_slides_is_fixed() -> None:
     ball = document(body("b1", joint("j1"), body("b2", '<joint name="k" type="ball"/>', CHAIN)))
     with pytest.raises(URDFError, match=r"joint 'k': is a ball joint, .*; tip='b1' ends the arm before it"):
         pp.Arm.load(ball)

@@ -208,7 +208,7 @@ class PathProgress(NamedTuple):
         timed = timed_again(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
         return self._replace(timed=timed, ahead=None)
 
-    def bent_to(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
+    def deformed(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
         """Return this progress on a bent path, retimed if the bend, as in the attribute, changed enough."""
         since = bend if self.timed_bend is None else bend - self.timed_bend
         little = np.all(np.abs(since) <= MAX_UNTIMED_BEND * path.arm.joint_units)

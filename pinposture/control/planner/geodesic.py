@@ -242,7 +242,7 @@ class Geodesic:
         path, bend = replan(progress.path, place, progress.bend, problem, prompt=not self.plans)
         if bend is None:
             return PathProgress(timed_again(path, limits, effort=effort))
-        return progress.bent_to(path, bend, limits)
+        return progress.deformed(path, bend, limits)
 
     def _objective(
         self, state: ChainState, target: Target, progress: PathProgress | None = None
