@@ -193,7 +193,7 @@ def show_tracker(tracker: Tracker) -> str:
 
 def show_reached(posture: ReachedPosture) -> str:
     """Return a posture of `reach` as HTML: how good it is, and whether there is a clear path to it."""
-    path = "not asked for" if posture.path is None else posture.path.hindrance or "clear"
+    path = "not asked for" if posture.path is None else posture.path.blocked_by or "clear"
     rows = [
         ("tip error", length_text(posture.error)),
         ("clearance", length_text(posture.clearance) if np.isfinite(posture.clearance) else "no obstacles"),

@@ -42,7 +42,7 @@ def by_pinposture(problem: Problem) -> tuple[float, np.ndarray | None]:
     arm, start, target, scene = problem
     began = perf_counter()
     path = plan(arm.at(start), target, scene, RUN_LIMITS)
-    return perf_counter() - began, None if path.hindrance else path.configurations
+    return perf_counter() - began, None if path.blocked_by else path.configurations
 
 
 def by_rrt_connect(problem: Problem, budget: float) -> tuple[float, np.ndarray | None]:

@@ -73,7 +73,7 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
     Returns:
         found_by: how the path was found, see `JointPath.found_by`.
         planned: whether the plan is reported as collision-free.
-        hindrance: what it comes too close to, if not.
+        blocked_by: what it comes too close to, if not.
         plan_time: wall time for planning [s].
         path_length_ratio: path length of the control points on the plan relative to straight lines.
         plan_clearance: smallest distance on the plan, every 0.01 rad [m].
@@ -92,8 +92,8 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
     points = np.array([arm.chain_at(q).points for q in path.configurations])
     return Row(
         found_by=path.found_by,
-        planned=not path.hindrance,
-        hindrance=path.hindrance,
+        planned=not path.blocked_by,
+        blocked_by=path.blocked_by,
         plan_time=took,
         path_length_ratio=path_length_ratio(points),
         plan_clearance=dense_clearance(arm, scene, path.configurations),
@@ -200,7 +200,7 @@ def run(
             [table(_COLUMNS, summary)],
             {"clutter": lambda _: draw_clutter(shown)},
             warnings=[
-                f"{row.kind}, seed {row.seed}: {row.hindrance or row.reason}"
+                f"{row.kind}, seed {row.seed}: {row.blocked_by or row.reason}"
                 for row in rows
                 if not row.reached
             ],

@@ -74,7 +74,7 @@ def measure(joints: int, boxes: int, draws: int) -> dict[str, Any]:
         began = perf_counter()
         path = pp.plan(state, target, scene, limits)
         plans.append(perf_counter() - began)
-        found += not path.hindrance
+        found += not path.blocked_by
         controller, memory, q = pp.Geodesic(scene=scene), None, start
         for number in range(CYCLES):
             state = arm.at(q)

@@ -133,7 +133,7 @@ def main() -> int:
             began = perf_counter()
             (found,) = reach(arm, problem.goal, scene=scene, start=start, budget=2 * BUDGET, seed=seed)
             path_times.append(perf_counter() - began)
-            clear_paths += found.path is not None and not found.path.hindrance
+            clear_paths += found.path is not None and not found.path.blocked_by
     told = {
         "problems": asked.seeds,
         "found": asked.seeds - len(missed),

@@ -116,7 +116,7 @@ def run(
             budget=goal.budget,
             tolerance=read_option("--tolerance", goal_options.tolerance, Length),
         )
-    hindrance = found[0].path.hindrance if found[0].path else ""
+    blocked_by = found[0].path.blocked_by if found[0].path else ""
     files: list[File] = []
     if output is not None:
         for number, each in enumerate(found, start=1):
@@ -124,7 +124,7 @@ def run(
             files.append((f"{number}", output / f"posture_{number}.json", partial(write_text, text=text)))
         picture = _draw(arm, found, np.asarray(goal.position), surroundings)
         files.append(("picture", output / PICTURE, partial(write_figure, figure=picture)))
-        if first is not None and not hindrance:
+        if first is not None and not blocked_by:
             files += run_files(track(arm, found[0].target, first, scene=surroundings), output)
     written, failure = write_files(files)
     if as_json:
@@ -140,7 +140,7 @@ def run(
         print_note(f"wrote {file}")
     if failure is not None:
         raise failure
-    end_with([hindrance] if hindrance else [])
+    end_with([blocked_by] if blocked_by else [])
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def _print_postures(found: Sequence[ReachedPosture]) -> None:
             each.path_ratio,
             each.score,
             "-" if each.load is None else f"{100.0 * each.load.share:.3g} % ({each.load.joint})",
-            "-" if each.path is None else each.path.hindrance or "clear",
+            "-" if each.path is None else each.path.blocked_by or "clear",
         )
         for number, each in enumerate(found, start=1)
     ]

@@ -88,7 +88,7 @@ class ReachedPosture:
         q: the configuration, (nq,) [rad or m], at the end of the path if there is one.
         target: the posture as a target, for `plan` and `track`.
         path: the path to it from the start; None without a start. If no clear path was found, its
-            `hindrance` names the pair that comes too close.
+            `blocked_by` names the pair that comes too close.
         error: distance of the tip from its goal [m].
         clearance: smallest distance from obstacles, and between parts of the arm if the scene includes
             self-collision [m]; infinite without a scene.
@@ -128,11 +128,11 @@ class ReachedPosture:
             "score": self.score,
             "holding_torque": None if self.load is None else self.load.as_data(),
             "path": None if path is None else path.configurations.tolist(),
-            "hindrance": None if path is None else path.hindrance,
+            "blocked_by": None if path is None else path.blocked_by,
         }
 
     def __repr__(self) -> str:
-        way = "" if self.path is None else f", path {self.path.hindrance or 'clear'}"
+        way = "" if self.path is None else f", path {self.path.blocked_by or 'clear'}"
         error = length_text(self.error)
         heavy = f", {self.load}" if self.load is not None and self.load.exceeded else ""
         clear = f", clearance {length_text(self.clearance)}" if np.isfinite(self.clearance) else ""
@@ -204,13 +204,13 @@ def reach(
         return tuple(postures[:count])
     reached: list[ReachedPosture] = []
     for posture in postures:
-        clear = sum(not each.path.hindrance for each in reached if each.path)
+        clear = sum(not each.path.blocked_by for each in reached if each.path)
         left = began + budget - perf_counter()
         if clear >= count or (reached and left <= 0.0):
             break
         share = max(left, 0.05 * budget) / max(count - clear, 1)
         reached.append(_with_path(arm, posture, first, scene, limits, share))
-    reached.sort(key=lambda each: (bool(each.path and each.path.hindrance), -each.score))
+    reached.sort(key=lambda each: (bool(each.path and each.path.blocked_by), -each.score))
     return tuple(reached[:count])
 
 

@@ -115,7 +115,7 @@ class Arrival:
 # Arms that obstacles hinder.
 
 
-class Hindrance:
+class Blockage:
     """Watches whether an arm comes closer to where it should be, as long as obstacles hinder it.
 
     With drives that lag or sag, an arm between obstacles can move to and fro for ever. Each distance has to

@@ -32,7 +32,7 @@ from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
 from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.motion import tolerances
-from pinposture.motion.arrival import Arrival, Hindrance
+from pinposture.motion.arrival import Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
@@ -257,8 +257,8 @@ class Tracker:
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
         self._arrival = Arrival(arm.length)
-        self._pursuit = Hindrance(arm, self._feedback.averaging_time)
-        self._evasion = Hindrance(arm, self._feedback.averaging_time)
+        self._pursuit = Blockage(arm, self._feedback.averaging_time)
+        self._evasion = Blockage(arm, self._feedback.averaging_time)
         self._tried: Scene | None = None
         self._clearance: tuple[Scene, Array, Closest] | None = None
         self._timeout = timeout
@@ -486,7 +486,7 @@ class Tracker:
         self._lead_drives(dq / dt)
         decision = decision._replace(step=self._describe_sent(feedback, decision, dq))
         report = self._make_report(feedback, decision, dq, sent, passed)
-        self._watch_hindrances(decision, dq, report.mean_error, dt)
+        self._watch_blockages(decision, dq, report.mean_error, dt)
         taken = perf_counter() - begun
         self.report = report._replace(time=taken, overran=taken > self._period)
         self.overruns += self.report.overran
@@ -532,7 +532,7 @@ class Tracker:
         if not reason and self._former is not None:
             reason = BRAKES_FIRST
         if not reason and self._pursuit.lasting:
-            reason = self._describe_hindrance("it has come no closer to its target", self._pursuit)
+            reason = self._describe_blockage("it has come no closer to its target", self._pursuit)
         aim = feedback.held
         if self._target is not None and not reason and not self._rests:
             aim = compensated = self._feedback.compensate(self._target)
@@ -547,7 +547,7 @@ class Tracker:
         held, evading = self._hold(feedback.state is not None and not feedback.reason)
         loop.memory = held
         if self._evasion.lasting and not self._pursuit.lasting:
-            reason += f"; {self._describe_hindrance('it has gained no clearance', self._evasion)}"
+            reason += f"; {self._describe_blockage('it has gained no clearance', self._evasion)}"
         return Decision(step, held.dq, reason, compensated, evading)
 
     def _begin_cycle(self, dt: float) -> None:
@@ -611,7 +611,7 @@ class Tracker:
             tasks = tuple(Displaced(task, displacement) for task in self._tasks)
             self._loop.steps.controller = replace(controller, tasks=tasks)
 
-    def _watch_hindrances(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
+    def _watch_blockages(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
         """Watch whether obstacles keep the measured arm from its target [m], or from its margin, for long."""
         displacement = self._feedback.displacement
         if not np.any(np.abs(dq) > tolerances.SETTLING * self.arm.joint_units):
@@ -644,9 +644,9 @@ class Tracker:
         self._pursuit.restart()
         self._evasion.restart()
 
-    def _describe_hindrance(self, missed: str, hindrance: Hindrance) -> str:
+    def _describe_blockage(self, missed: str, blockage: Blockage) -> str:
         """Say what the arm has missed, for how long, and what the measured arm was closest to."""
-        text = f"obstacles hinder the arm: {missed} for {hindrance.patience:.3g} s"
+        text = f"obstacles hinder the arm: {missed} for {blockage.patience:.3g} s"
         if self._clearance is None:
             return text
         closest = self._clearance[2]

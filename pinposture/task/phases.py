@@ -525,9 +525,9 @@ class _Planner:
             limits=self._limits,
         )
         path = found[0].path
-        if path is None or path.hindrance:
-            hindrance = "" if path is None else path.hindrance
-            reason = f"no clear path was found: {hindrance}; raise the budget, or choose a nearer goal"
+        if path is None or path.blocked_by:
+            blocked_by = "" if path is None else path.blocked_by
+            reason = f"no clear path was found: {blocked_by}; raise the budget, or choose a nearer goal"
             raise TaskError("the way to its posture", reason)
         return path
 
@@ -555,7 +555,7 @@ class _Planner:
             path = plan(
                 arm.at(start), Target.from_configuration(arm, inside), self._scene, self._limits, budget=5.0
             )
-            pieces = self._reversed(entered) if path.hindrance else [self._along(path, None, 0.0)]
+            pieces = self._reversed(entered) if path.blocked_by else [self._along(path, None, 0.0)]
             for piece in pieces:
                 marks = (_mark("back on the path", piece),) if piece is pieces[-1] else ()
                 self._add(replace(piece, marks=marks), name)

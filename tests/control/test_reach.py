@@ -137,7 +137,7 @@ def test_the_path_leads_from_the_start_to_the_posture_clear_of_everything(arm, c
         start = begin.q
     for each in pp.reach(arm, (0.3, 0.1, 0.2), scene=scene, start=start, count=2, budget=30.0):
         assert each.path is not None
-        assert each.path.hindrance == ""
+        assert each.path.blocked_by == ""
         np.testing.assert_allclose(each.path.configurations[0], start, atol=1e-12)
         np.testing.assert_allclose(
             placed(arm, each.path.configurations[-1]).translation, (0.3, 0.1, 0.2), atol=1e-5
@@ -237,7 +237,7 @@ def test_a_posture_that_no_path_leads_to_says_so():
     assert found
     for each in found:
         assert each.path is not None
-        assert "wall" in each.path.hindrance
+        assert "wall" in each.path.blocked_by
 
 
 @pytest.mark.parametrize(

@@ -860,7 +860,7 @@ def _check_step(
             reason = CANNOT_EVADE
         violated += relaxed + avoidance.describe_violations(state)
         near = avoidance.describe_obstruction(state, candidate.solution, bool(reason))
-        near += (progress.timed.path.hindrance,) if progress.timed.path.hindrance else ()
+        near += (progress.timed.path.blocked_by,) if progress.timed.path.blocked_by else ()
     objective = progress.timed.path.objective
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)

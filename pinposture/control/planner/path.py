@@ -57,7 +57,7 @@ class JointPath:
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
         scene: the obstacles; None: none.
         attempt: number of paths to the same target that were abandoned before this one.
-        hindrance: message naming the pair that comes too close; empty if the path is clear.
+        blocked_by: message naming the pair that comes too close; empty if the path is clear.
         found_by: how it was found: "relaxation", "tree search" or "withdrawal".
         task_errors: errors of the tasks with priority at the start and the end, 2 x (r,) [m]. In between they
             should change linearly with the place.
@@ -68,7 +68,7 @@ class JointPath:
     offsets: Array
     scene: Scene | None = None
     attempt: int = 0
-    hindrance: str = ""
+    blocked_by: str = ""
     found_by: str = "relaxation"
     task_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 

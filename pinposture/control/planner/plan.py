@@ -138,7 +138,7 @@ def plan(
             path so far (None if there is none). The search ends if it returns True.
 
     Returns:
-        The path. If no clear path was found, `hindrance` names what it comes too close to; `found_by` tells
+        The path. If no clear path was found, `blocked_by` names what it comes too close to; `found_by` tells
         how it was found.
 
     Raises:
@@ -204,7 +204,7 @@ def find_path(
             path = direct
     if path is None:
         path = _clearest_path(problem, goal, attempt, until, report)
-    logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
+    logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.blocked_by)
     scene = None if avoidance is None else avoidance.clearance.scene
     return replace(path, scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal))
 
@@ -497,10 +497,10 @@ def _possible_clearance(avoidance: Avoidance, state: ChainState, goal: ChainStat
 
 
 def _hindered(path: JointPath, closest: Closest, avoidance: Avoidance) -> JointPath:
-    """Return the path with the pair that comes too close, and the constraints, as its hindrance."""
+    """Return the path with the pair that comes too close, and the constraints, as what it is `blocked_by`."""
     words = [] if closest.pair is None else [describe_distance(closest.pair, closest.distance)]
     words += avoidance.describe_worst_on(path.start, path.offsets)
-    return replace(path, hindrance=f"no clear path was found; on the best one, {'; '.join(words)}")
+    return replace(path, blocked_by=f"no clear path was found; on the best one, {'; '.join(words)}")
 
 
 def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], None]) -> Iterator[JointPath]:

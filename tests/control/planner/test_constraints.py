@@ -185,7 +185,7 @@ def test_a_plan_keeps_a_constraint_and_says_if_it_cannot() -> None:
     q0, q1 = sweeping_pair("cone", 2)
     start = arm().at(q0)
     path = pp.control.plan(start, pp.Target.from_configuration(arm(), q1), constraints=[LinkInCone()])
-    assert not path.hindrance
+    assert not path.blocked_by
     assert max(excess_by_pinocchio("cone", q) for q in path.configurations) <= 0.0
     free = pp.control.plan(start, pp.Target.from_configuration(arm(), q1))
     assert max(excess_by_pinocchio("cone", q) for q in free.configurations) > 0.01
@@ -203,12 +203,12 @@ class Apart:
 
 
 @pytest.mark.long
-def test_a_constraint_that_no_path_keeps_is_named_as_the_hindrance() -> None:
+def test_a_constraint_that_no_path_keeps_is_named_as_what_blocks_it() -> None:
     short = template_arm("RyRz", 3)
     start = np.full(short.nq, -0.3)
     target = pp.Target.from_configuration(short, np.full(short.nq, 0.3))
     path = pp.control.plan(short.at(start), target, constraints=[Apart()])
-    assert "constraint: Apart is violated by" in path.hindrance
+    assert "constraint: Apart is violated by" in path.blocked_by
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -87,7 +87,7 @@ def test_the_arm_finds_its_way_through_a_hole_and_back(seed: int, inwards: bool)
     scene, start, goal = through_a_hole(seed)
     start, goal = (start, goal) if inwards else (goal, start)
     path = pp.plan(arm().at(start), pp.Target.from_configuration(arm(), goal), scene)
-    assert path.hindrance == ""
+    assert path.blocked_by == ""
     np.testing.assert_array_equal(path.configurations[0], start)
     np.testing.assert_allclose(path.configurations[-1], goal, atol=1e-9)
     assert all(arm().within_limits(q) for q in path.configurations)
@@ -128,7 +128,7 @@ def test_where_there_is_no_path_the_plan_says_what_is_in_the_way() -> None:
     model = CollisionModel(planar, scene)
     assert min(model.minimum(q).distance for q in (start, goal)) > MARGIN
     path = pp.plan(planar.at(start), pp.Target.from_configuration(planar, goal), scene)
-    assert "wall" in path.hindrance
+    assert "wall" in path.blocked_by
     np.testing.assert_allclose(path.configurations[-1], goal, atol=1e-9)
 
 
@@ -162,7 +162,7 @@ def test_a_budget_ends_the_search() -> None:
     scene, start, goal = through_a_hole(1)
     target = pp.Target.from_configuration(arm(), goal)
     path = pp.plan(arm().at(start), target, scene, budget=1e-3)
-    assert path.hindrance  # the most direct one alone was tried
+    assert path.blocked_by  # the most direct one alone was tried
     with pytest.raises(pp.PostureError, match="budget"):
         pp.plan(arm().at(start), target, scene, budget=0.0)
 
@@ -178,14 +178,14 @@ def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
         return False
 
     whole = pp.plan(arm().at(start), target, scene, progress=note)
-    assert not whole.hindrance
+    assert not whole.blocked_by
     assert [each for each, *_ in told][:2] == ["relaxation 1 of 12", "tree search"]
     assert any("withdrawing start and goal by" in each for each, *_ in told)
     times = [each for _, each, _ in told]
     assert times == sorted(times)
 
     early = pp.plan(arm().at(start), target, scene, progress=lambda *_: True)
-    assert early.hindrance
+    assert early.blocked_by
 
 
 @pytest.mark.long
@@ -202,7 +202,7 @@ def test_an_interrupted_relaxation_keeps_the_path_that_was_found() -> None:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-    assert not found.hindrance
+    assert not found.blocked_by
     assert found.found_by == "withdrawal"
     assert smallest_distance(scene, found.configurations) > MARGIN - 1e-3
 

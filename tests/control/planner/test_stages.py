@@ -71,7 +71,7 @@ def test_the_stages_in_a_row_make_the_run_that_track_makes(seed: int, among: boo
 def test_a_plan_leads_from_here_to_the_target_within_limits(seed: int) -> None:
     q, target = start_and_goal(seed)
     path = pp.plan(arm().at(q), target)
-    assert path.configurations.shape == (path.end + 1, arm().nq) and path.hindrance == ""
+    assert path.configurations.shape == (path.end + 1, arm().nq) and path.blocked_by == ""
     np.testing.assert_array_equal(path.configurations[0], q)
     np.testing.assert_allclose(arm().at(path.configurations[-1]).points, target.points, atol=1e-12)
     assert all(arm().within_limits(each) for each in path.configurations)
@@ -88,7 +88,7 @@ def test_a_plan_in_a_scene_is_clear_by_sampling(seed: int) -> None:
     path = pp.plan(arm().at(q), target, scene)
     nearest = [distances.minimum(path.configuration(place)).distance for place in np.arange(0, path.end, 0.1)]
     ends = [distances.minimum(each).distance for each in path.configurations[[0, -1]]]
-    assert path.hindrance == "" and min(nearest) >= min(*ends, scene.margin) - 1e-3
+    assert path.blocked_by == "" and min(nearest) >= min(*ends, scene.margin) - 1e-3
     direct = pp.plan(arm().at(q), target).configurations
     assert min(distances.minimum(each).distance for each in direct) < 0.0
 

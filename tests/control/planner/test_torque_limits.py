@@ -171,7 +171,7 @@ def test_a_planned_path_goes_around_postures_that_cannot_be_held() -> None:
     path = pp.plan(arm.at(start), target, limits=pp.Limits(effort=effort))
     between = [path.configuration(place) for place in np.linspace(0.0, path.end, 300)]
     assert judged(arm, effort, np.array(between), None)[0] <= 1.0
-    assert not path.hindrance and path.length > direct.length
+    assert not path.blocked_by and path.length > direct.length
 
 
 def test_a_start_and_a_goal_that_cannot_be_held_are_refused_with_what_is_too_much() -> None:
