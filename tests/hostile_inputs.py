@@ -121,7 +121,7 @@ def rows_of(rows: Any, separator: str) -> str:
 def plan_task(content: Any) -> Any:
     task = pp.Task.load(write_toml(content))
     reference = task.reference()
-    return reference.offsets, [each.clearance for each in task.outlook(reference)]
+    return reference.offsets, [each.clearance for each in task.feasibility(reference)]
 
 
 def perform_task(content: Any) -> Any:

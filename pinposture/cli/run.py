@@ -212,7 +212,7 @@ def run(
 
 def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) -> None:
     """Print the plan, and how well the arm can perform it."""
-    found = task.outlook(reference)
+    found = task.feasibility(reference)
     places = [
         {**each._asdict(), "moved": None if each.moved is None else each.moved._asdict()} for each in found
     ]

@@ -138,7 +138,7 @@ def tip_off(tip: EndEffector | None, target: Target, state: ArmState) -> float |
 # How well the arm can reach its postures, predicted before it moves.
 
 
-class Outlook(NamedTuple):
+class PostureFeasibility(NamedTuple):
     """How well the arm can reach a posture.
 
     Attributes:
@@ -171,7 +171,7 @@ class Outlook(NamedTuple):
         return f"{' and '.join(self.pair)} would be {millimetres} apart; the margin is {1e3 * margin:.3g} mm"
 
 
-def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
+def posture_feasibility(reference: Reference, scene: Scene | None) -> list[PostureFeasibility]:
     """Predict how well the arm can reach the named postures of a reference, and the first.
 
     Args:
@@ -186,7 +186,7 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
         tip = tip_off(mark.tip, mark.target, arm.at(q))
         planned = float(reference.times[mark.row])
         moved = mark.target.moved
-        found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, pair, moved))
+        found.append(PostureFeasibility(mark.name, planned, off_curve(mark), tip, room, pair, moved))
     return found
 
 
@@ -198,9 +198,9 @@ def _closest(arm: Arm, q: Array, scene: Scene) -> Closest:
     return CollisionModel(arm, scene.without_self_collision()).minimum(q)
 
 
-def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, Outlook]:
+def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, PostureFeasibility]:
     """Return the named postures that do not keep the margin of a scene, by their names in messages."""
-    places = [] if scene is None else enumerate(outlook(reference, scene), start=1)
+    places = [] if scene is None else enumerate(posture_feasibility(reference, scene), start=1)
     named = {
         f"keyframe {k} {place.name!r}" if reference.numbered else place.name: place for k, place in places
     }

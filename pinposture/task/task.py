@@ -89,9 +89,9 @@ from pinposture.task.phases import (
     with_placements,
 )
 from pinposture.task.reference import (
-    Outlook,
+    PostureFeasibility,
     Reference,
-    outlook,
+    posture_feasibility,
     require_room,
 )
 from pinposture.toml import TomlLayout, Usual
@@ -320,7 +320,7 @@ class Task:
                 self.arm, keyframes, dt, self.continuity, progress, self.repeat, self.limits
             )
 
-    def outlook(self, reference: Reference) -> list[Outlook]:
+    def feasibility(self, reference: Reference) -> list[PostureFeasibility]:
         """Predict how well the arm can reach the postures; clearances are those at the postures.
 
         Args:
@@ -332,7 +332,7 @@ class Task:
         scene = self.surroundings(reference)
         with self._naming():
             require_passage(reference, scene, MAX_MEAN_LAG * self.arm.length / self.arm.n_modules)
-        return outlook(reference, scene)
+        return posture_feasibility(reference, scene)
 
     @cached_property
     def effective_scene(self) -> Scene:

@@ -111,9 +111,9 @@ def test_a_check_of_a_file_names_the_gap_that_is_too_narrow(tmp_path: Path) -> N
     file.write_text(text[: text.index('[[phases]]\nname = "look"')].replace('"5 mm"', '"35 mm"'))
     task = pp.Task.load(file)
     with pytest.raises(FileError, match=r"insert: inside': the gap at .* is too narrow") as caught:
-        task.outlook(task.reference())
+        task.feasibility(task.reference())
     assert "its radius is 10 mm and the margin 35 mm" in str(caught.value)
     file.write_text(file.read_text().replace('"35 mm"', '"25 mm"'))
     task = pp.Task.load(file)
     with no_warnings():
-        task.outlook(task.reference())
+        task.feasibility(task.reference())

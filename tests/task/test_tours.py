@@ -252,7 +252,7 @@ def test_obstacles_count_for_taught_configurations(arm: pp.Arm) -> None:
     scene = pp.Scene({"ball": pp.Sphere(tip, 0.03)})
     there = [Keyframe(line(arm)), Keyframe(joints=q, time=1.0, name="inside")]
     task = pp.Task(arm, there, LIMITS, scene=scene)
-    assert task.outlook(task.reference())[1].clearance < -0.01
+    assert task.feasibility(task.reference())[1].clearance < -0.01
     with pytest.warns(PostureWarning, match="keyframe 2 'inside': .* ball"):
         motion = task.perform()
     assert motion.run.clearance.min() > -1e-9 and not motion.converged
@@ -669,7 +669,7 @@ def test_a_tour_in_a_file_is_read_and_written_with_its_comments(tmp_path: Path) 
         assert pp.Task.load(task.save(tmp_path / f"plain{suffix}")).repeat == 3
     other = pp.Task.load(tmp_path / "edited.toml")
     assert other.repeat == 1 and other.motion[1] == last
-    assert [place.name for place in task.outlook(task.reference())] == ["home, lap 1", "taught, lap 1"]
+    assert [place.name for place in task.feasibility(task.reference())] == ["home, lap 1", "taught, lap 1"]
     motion = task.perform()
     assert motion.converged and motion.planned == pytest.approx(3 * 1.5 - 0.5)
     assert np.abs(motion.q[-1] - last.joints).max() < 1e-9
