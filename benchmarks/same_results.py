@@ -452,7 +452,7 @@ def led(
     asked = pp.follow_leader(arm, path, 0.1, 0.05, method=method, and_back=and_back, depth=depth)
     found = {f"asked {name}": value for name, value in of_reference(asked).items()}
     if limits:
-        laid = asked.marks[0].target.curve
+        laid = asked.waypoints[0].target.curve
         scene = pipe(laid, radius=0.045) if in_pipe else None
         found |= of_motion(
             pp.perform(asked, CONTROLLERS["default"], pp.Limits(step=None, dt=0.1, acceleration=2.0), scene)

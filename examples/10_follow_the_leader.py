@@ -23,7 +23,7 @@ path = pipe_axis(runs=(0.1, 0.1, 0.05), bends=bends)
 
 # The reference motion at 5 cm/s, in rows of 0.1 s. The path is moved to the tip.
 reference = follow_leader(arm, path, interval=0.1, speed=0.05)
-laid = reference.marks[-1].target.curve
+laid = reference.waypoints[-1].target.curve
 print(f"{reference.rows} rows, {reference.duration:.1f} s for {path.length:.3f} m")
 
 # Run it within the limits, in a pipe with a radius of 4.5 cm.

@@ -39,7 +39,7 @@ HOLDING_SHARE = 0.85
 """Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
 
 
-class Waypoint(NamedTuple):
+class WaypointResult(NamedTuple):
     """A named waypoint of a motion, such as a keyframe, and how the arm passed it.
 
     Attributes:
@@ -96,7 +96,7 @@ class Trajectory:
     plan_time: Array
     start_index: int
     planned: float
-    waypoints: tuple[Waypoint, ...] = ()
+    waypoints: tuple[WaypointResult, ...] = ()
     deviations: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -280,7 +280,7 @@ class Trajectory:
             "deviations": list(self.deviations),
         }
 
-    def _too_heavy(self, place: Waypoint) -> str | None:
+    def _too_heavy(self, place: WaypointResult) -> str | None:
         """Say that a joint has not the torque to hold the posture of a waypoint; None if none is known to."""
         if place.row is None:
             return None

@@ -6,18 +6,18 @@ from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import move_through, perform
 from pinposture.task.phases import Phase, TipGoal, Withdrawal
-from pinposture.task.reference import Mark, Reference
+from pinposture.task.reference import Reference, Waypoint
 from pinposture.task.task import Task
 
 __all__ = [
     "Deviation",
     "Keyframe",
     "Leader",
-    "Mark",
     "Phase",
     "Reference",
     "Task",
     "TipGoal",
+    "Waypoint",
     "Withdrawal",
     "find_path",
     "follow_leader",

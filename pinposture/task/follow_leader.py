@@ -53,7 +53,7 @@ from pinposture.schema import (
     one_of,
 )
 from pinposture.task.keyframe import usual_placement
-from pinposture.task.reference import Mark, Reference
+from pinposture.task.reference import Reference, Waypoint
 from pinposture.toml import Usual
 from pinposture.units import length_text
 
@@ -529,7 +529,7 @@ def follow_leader(
         progress: called with the number of postures found so far, and the total number.
 
     Returns:
-        The motion, with a mark "inside" at the largest depth and, if it returns, a mark "outside" at the end;
+        The motion, with a waypoint "inside" at the largest depth and, if it returns, "outside" at the end;
         both targets have the path as placed.
 
     Raises:
@@ -579,12 +579,12 @@ def follow_leader(
     deviation = _deviation(route, np.array([arm.integrate(begin, offset) for offset in offsets]))
     _require_near(route, deviation, depths, method)
     way = FollowedPath(route, deviation.largest)
-    marks = [_last_row(way, begin, "inside", offsets)]
+    waypoints = [_last_row(way, begin, "inside", offsets)]
     if and_back:
         offsets = np.vstack([offsets, offsets[-2::-1]])
-        marks.append(_last_row(way, begin, "outside", offsets))
+        waypoints.append(_last_row(way, begin, "outside", offsets))
     weights = np.ones((len(offsets), arm.n_modules))
-    return Reference(arm, interval, begin, offsets, weights, tuple(marks))
+    return Reference(arm, interval, begin, offsets, weights, tuple(waypoints))
 
 
 def advance(depth: float, speed: float, interval: float, stride: float) -> tuple[Array, float]:
@@ -657,14 +657,14 @@ class FollowedPath:
         return _deviation(self.route, q).largest
 
 
-def _last_row(way: FollowedPath, begin: Array, name: str, offsets: Array) -> Mark:
+def _last_row(way: FollowedPath, begin: Array, name: str, offsets: Array) -> Waypoint:
     route = way.route
     arm = way.route.fed.arm
     q = arm.integrate(begin, offsets[-1])
     points = arm.chain_at(q).points
     weights = np.ones(arm.n_modules)
     target = Target(points, weights, q=q, curve=route.path, moved=route.moved)
-    return Mark(name, len(offsets) - 1, target, way=way)
+    return Waypoint(name, len(offsets) - 1, target, way=way)
 
 
 def _require_near(route: Route, deviation: Deviation, depths: Array, method: str) -> None:

@@ -45,7 +45,7 @@ from pinposture.task.keyframe import (
     tip_shift,
     title,
 )
-from pinposture.task.reference import Bending, BentCurve, Mark, Reference, crossfade, ramp, window
+from pinposture.task.reference import Bending, BentCurve, Reference, Waypoint, crossfade, ramp, window
 
 __all__ = ["Keyframe", "keyframe_reference"]
 
@@ -478,7 +478,7 @@ def keyframe_reference(
         limits: limits of the motion, of which speeds and accelerations count here; None: no limits.
 
     Returns:
-        The reference at the times asked for, with a mark for each keyframe of each lap.
+        The reference at the times asked for, with a waypoint for each keyframe of each lap.
 
     Raises:
         InvalidValue: fewer than two keyframes, or an invalid keyframe, interval or number of laps.
@@ -515,18 +515,18 @@ def keyframe_reference(
         progress(rows.rows, rows.rows)
     start = arm.configuration(positions[0])
     offsets = positions - positions[0]
-    marks: list[Mark] = []
+    waypoints: list[Waypoint] = []
     for index, keyframe in enumerate(keyframes):
         row = int(rows.reached[index])
         q = arm.integrate(start, offsets[row])
         target = target_at(arm, keyframe, motion.keyframes[index].target, q)
         if index == len(tour):  # returned to the first
-            target = marks[0].target
+            target = waypoints[0].target
         name = keyframe.name or title(keyframes, index % len(tour))
         off = end_off(arm, keyframe, target)
-        marks.append(Mark(name, row, target, keyframe.tip, keyframe.speed, end_off=off))
-    weights = _weights(rows, [mark.target.weights for mark in marks])
-    lap = Reference(arm, interval / per_cycle, start, offsets, weights, tuple(marks), numbered=True)
+        waypoints.append(Waypoint(name, row, target, keyframe.tip, keyframe.speed, end_off=off))
+    weights = _weights(rows, [waypoint.target.weights for waypoint in waypoints])
+    lap = Reference(arm, interval / per_cycle, start, offsets, weights, tuple(waypoints), numbered=True)
     if slowed is not None:
         durations = np.full(rows.rows - 1, interval / per_cycle)
         for k, duration in enumerate(interval * cycles.between / rows.between):
@@ -542,22 +542,22 @@ def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
     offsets = []
     weights = []
     durations = []
-    marks = [lap.marks[0]._replace(name=f"{lap.marks[0].name}, lap 1")]
+    waypoints = [lap.waypoints[0]._replace(name=f"{lap.waypoints[0].name}, lap 1")]
     for number in range(repeat):
         last = number == repeat - 1
         kept = end + 1 if last else rows
         offsets.append(lap.offsets[:kept] + 2.0 * np.pi * number * turns)
         weights.append(lap.weights[:kept])
         durations.append(np.diff(lap.times[: end + 1 if last else None]))
-        for index, mark in enumerate(lap.marks[1 : count if last else None], start=1):
-            name = f"{mark.name}, lap {number + 1 + index // count}"  # the return begins the next lap
-            marks.append(mark._replace(name=name, row=number * rows + mark.row))
+        for index, waypoint in enumerate(lap.waypoints[1 : count if last else None], start=1):
+            name = f"{waypoint.name}, lap {number + 1 + index // count}"  # the return begins the next lap
+            waypoints.append(waypoint._replace(name=name, row=number * rows + waypoint.row))
     return replace(
         lap,
         offsets=np.concatenate(offsets),
         weights=np.concatenate(weights),
         durations=None if lap.durations is None else np.concatenate(durations),
-        marks=tuple(marks),
+        waypoints=tuple(waypoints),
     )
 
 

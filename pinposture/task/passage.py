@@ -14,7 +14,7 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.model import Distances
 from pinposture.errors import InvalidValue, TaskError, warn_caller
-from pinposture.task.reference import Mark, Reference, Way
+from pinposture.task.reference import Reference, Way, Waypoint
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Gap(NamedTuple):
 def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -> None:
     """Refuse a way on which no place near the path is clear; warn of one that intrudes into the margin.
 
-    Only ways that the arm has to follow count (`Mark.way`).
+    Only ways that the arm has to follow count (`Waypoint.way`).
 
     Args:
         reference: the planned motion.
@@ -60,10 +60,10 @@ def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -
         return
     still = {name: each for name, each in scene.obstacles.items() if name not in scene.moving}
     scene = replace(scene, obstacles=still, velocities={}, self_collision=False)
-    for mark, rows, distances in _ways(reference, scene):
+    for waypoint, rows, distances in _ways(reference, scene):
         model = CollisionModel(reference.arm, scene)
-        where = f"the way to {mark.name!r}"
-        shift = 2.0 * cast(Way, mark.way).planned + max_lag
+        where = f"the way to {waypoint.name!r}"
+        shift = 2.0 * cast(Way, waypoint.way).planned + max_lag
         intruding = np.flatnonzero(distances < _kept(reference, scene))
         intruding = intruding[np.argsort(distances[intruding], kind="stable")]
         for row in rows[intruding[:MAX_TRIED_ROWS]].tolist():
@@ -89,28 +89,29 @@ def require_wide_pipe(reference: Reference, scene: Scene, radius: float) -> None
         InvalidValue: the pipe is too narrow; names the amounts.
     """
     scene = replace(scene, self_collision=False)
-    for mark, rows, distances in _ways(reference, scene):
+    for waypoint, rows, distances in _ways(reference, scene):
         missing = scene.margin - float(distances.min())
         if distances.min() < _kept(reference, scene):
             needed = f"{radius + missing:.4g} m or more: {_closest(reference, scene, rows, distances)}"
-            off = f"the planned postures are up to {length_text(cast(Way, mark.way).planned)} off the path"
+            planned = length_text(cast(Way, waypoint.way).planned)
+            off = f"the planned postures are up to {planned} off the path"
             raise InvalidValue("pipe", radius, f"{needed}; {off}; {length_text(missing)} are missing")
 
 
-def _ways(reference: Reference, scene: Scene) -> Iterator[tuple[Mark, NDArray[np.int64], Array]]:
+def _ways(reference: Reference, scene: Scene) -> Iterator[tuple[Waypoint, NDArray[np.int64], Array]]:
     """Yield the end of each way that the arm has to follow, rows on it, and the clearance at each [m]."""
     model = CollisionModel(reference.arm, scene)
     first = 0
-    for mark in reference.marks:
-        if mark.way is not None:
-            count = min(mark.row - first + 1, MAX_CHECKED_ROWS)
-            rows = np.unique(np.linspace(first, mark.row, count).astype(np.int64))
+    for waypoint in reference.waypoints:
+        if waypoint.way is not None:
+            count = min(waypoint.row - first + 1, MAX_CHECKED_ROWS)
+            rows = np.unique(np.linspace(first, waypoint.row, count).astype(np.int64))
             yield (
-                mark,
+                waypoint,
                 rows,
                 np.array([model.minimum(reference.configuration(int(k))).distance for k in rows]),
             )
-        first = mark.row
+        first = waypoint.row
 
 
 def _kept(reference: Reference, scene: Scene) -> float:

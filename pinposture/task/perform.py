@@ -25,12 +25,12 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import tolerances
 from pinposture.motion.loop import RecordedLoop, in_scene
 from pinposture.motion.run import Run
-from pinposture.motion.trajectory import Trajectory, Waypoint
+from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.placement import Target
 from pinposture.task.keyframe import Keyframe, as_keyframes, placed
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.passage import require_passage
-from pinposture.task.reference import Mark, Reference, Way, off_curve, tip_off
+from pinposture.task.reference import Reference, Way, Waypoint, off_curve, tip_off
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -57,12 +57,12 @@ STEP_BUDGET_EXTRA = 3000
 
 
 MARK_SHARE = 0.6
-"""Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a mark."""
+"""Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a waypoint."""
 
 MAX_SLOWDOWNS = 10
 SLOWDOWN_MARGIN = 1.02
-"""Number of attempts to pass all marks closely enough, and the factor by which each slows down more than the
-error requires."""
+"""Number of attempts to pass all waypoints closely enough, and the factor by which each slows down more than
+the error requires."""
 
 HELD_ROUNDING = 1e-12
 """Motion from one row to the next that counts as none [rad or m]."""
@@ -79,8 +79,8 @@ class ReferencePath:
         reference: the reference.
         times: planned time of each of its rows, (N + 1,) [s].
         path: its configurations as a path through joint space, within the position limits.
-        timed: the path at the largest speed that limits and marks allow, up to that of the plan, and slower
-            where a jerk limit would lead the arm past a mark.
+        timed: the path at the largest speed that limits and waypoints allow, up to that of the plan, and
+            slower where a jerk limit would lead the arm past a waypoint.
 
     Raises:
         InvalidValue: limits so tight that it would take too many cycles.
@@ -105,9 +105,9 @@ class ReferencePath:
         self._rates = np.full(reference.rows - 1, self._dt / durations)
         self._retime()
         cycles = JerkFilter(arm, limits).cycles
-        if any(mark.speed < 1.0 for mark in reference.marks):
+        if any(waypoint.speed < 1.0 for waypoint in reference.waypoints):
             self._limit_speeds(0)
-            self._limit_speeds(1 + cycles // 2)  # averaged steps lie on both sides of a mark
+            self._limit_speeds(1 + cycles // 2)  # averaged steps lie on both sides of a waypoint
         self._slow_down_at_marks(cycles)
 
     @property
@@ -122,7 +122,7 @@ class ReferencePath:
             raise InvalidValue("cycles of the motion", round(self.steps), allowed)
 
     def _limit_speeds(self, beside: int) -> None:
-        """Lower the rates to the speeds of the marks, for so many cycles also before and after."""
+        """Lower the rates to the speeds of the waypoints, for so many cycles also before and after."""
         before = self.path.slopes[:-1]
         after = self.path.slopes[1:]
         middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
@@ -131,17 +131,17 @@ class ReferencePath:
         full = np.maximum((slopes / bound).max(axis=1), ROW_TOLERANCE)  # cycles per row at full speed
         begin = 0
         places = self.timed.places
-        for mark in self.reference.marks:
-            if mark.speed < 1.0:
-                cycles = np.searchsorted(places, (begin, mark.row)) + (-beside, beside)
+        for waypoint in self.reference.waypoints:
+            if waypoint.speed < 1.0:
+                cycles = np.searchsorted(places, (begin, waypoint.row)) + (-beside, beside)
                 first, last = places[np.clip(cycles, 0, len(places) - 1)]
-                piece = slice(min(int(first), begin), max(ceil(last), mark.row))
-                self._rates[piece] = np.minimum(self._rates[piece], mark.speed / full[piece])
-            begin = mark.row
+                piece = slice(min(int(first), begin), max(ceil(last), waypoint.row))
+                self._rates[piece] = np.minimum(self._rates[piece], waypoint.speed / full[piece])
+            begin = waypoint.row
         self._retime()
 
     def _slow_down_at_marks(self, cycles: int) -> None:
-        """Lower the rates at marks that the arm would miss if its steps are averaged over so many cycles.
+        """Lower the rates at waypoints that the arm would miss if its steps are averaged over so many cycles.
 
         The arm is then at the mean of the configurations at as many places. Its distance from the path is
         proportional to the square of the rate.
@@ -154,9 +154,9 @@ class ReferencePath:
             slower = False
             passed = np.cumsum(np.append(0.0, places))
             means = (passed[cycles:] - passed[:-cycles]) / cycles
-            for mark in self.reference.marks:
-                left = moving[np.searchsorted(moving, mark.row) :]
-                middle = 0.5 * (mark.row + left[0]) if len(left) else self.end  # of the time it is held
+            for waypoint in self.reference.waypoints:
+                left = moving[np.searchsorted(moving, waypoint.row) :]
+                middle = 0.5 * (waypoint.row + left[0]) if len(left) else self.end  # of the time it is held
                 after = int(np.searchsorted(means, middle))
                 if not 0 < after < len(means):
                     continue
@@ -228,11 +228,11 @@ class ReferencePath:
         rest = JointPath(objective, path.configuration(row), offsets, controller.scene)
         return retime(rest, self.timed.limits, self._rates[row:])
 
-    def next_mark(self, place: float) -> Mark:
+    def next_waypoint(self, place: float) -> Waypoint:
         """Return the next named place; the last row if there is none."""
         last = self.reference.rows - 1
-        ahead = [mark for mark in self.reference.marks if mark.row > place]
-        return ahead[0] if ahead else Mark("the end", last, self.target(float(last)))
+        ahead = [waypoint for waypoint in self.reference.waypoints if waypoint.row > place]
+        return ahead[0] if ahead else Waypoint("the end", last, self.target(float(last)))
 
 
 def perform(
@@ -372,13 +372,13 @@ class _Performance:
         loop = self.loop
         places = np.array(self._places)
         run = loop.record.run(loop.arm, loop.steps.controller, loop.limits, status, reason)
-        nexts = [*(mark.row for mark in reference.marks[1:]), np.inf]
-        waypoints = tuple(
-            self._waypoint(mark, until, places, run)
-            for mark, until in zip(reference.marks, nexts, strict=False)
+        nexts = [*(waypoint.row for waypoint in reference.waypoints[1:]), np.inf]
+        results = tuple(
+            self._result(waypoint, until, places, run)
+            for waypoint, until in zip(reference.waypoints, nexts, strict=False)
         )
-        if status == "converged" and any(waypoint.missed for waypoint in waypoints):
-            reason = f"{self._describe_missed(waypoints)}; at the end, {run.reason}"
+        if status == "converged" and any(result.missed for result in results):
+            reason = f"{self._describe_missed(results)}; at the end, {run.reason}"
             run = replace(run, status="missed", reason=reason)
         return Trajectory(
             run=run,
@@ -387,31 +387,32 @@ class _Performance:
             plan_time=self.guide.time(places),
             start_index=len(places) - 1 if self._start_index is None else self._start_index,
             planned=float(self.guide.times[-1]),
-            waypoints=waypoints,
+            waypoints=results,
             deviations=tuple(self._notes),
         )
 
-    def _waypoint(self, mark: Mark, until: float, places: Array, run: Run) -> Waypoint:
+    def _result(self, waypoint: Waypoint, until: float, places: Array, run: Run) -> WaypointResult:
         """Return how a named place was passed, before the next one, which is at `until`.
 
         That is at the first step at which the arm is near it; at the step nearest in time if it never is.
         """
         reference = self.guide.reference
         begun = self._start_index
-        moved = mark.target.moved
-        planned = float(self.guide.times[mark.row])
-        off = off_curve(mark)
-        there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
+        moved = waypoint.target.moved
+        planned = float(self.guide.times[waypoint.row])
+        off = off_curve(waypoint)
+        there = np.flatnonzero(places[begun:] >= waypoint.row - ROW_TOLERANCE)
         if begun is None or not len(there):
-            return Waypoint(mark.name, planned, None, None, None, off, moved=moved, speed=mark.speed)
+            never = WaypointResult(waypoint.name, planned, None, None, None, off)
+            return never._replace(moved=moved, speed=waypoint.speed)
         row = begun + int(there[0])
-        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
+        if row > begun and waypoint.row - places[row - 1] < places[row] - waypoint.row:
             row -= 1
         end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - ROW_TOLERANCE)))
-        chosen = mark.target.has_target
+        chosen = waypoint.target.has_target
         first = max(row - 1, 0)
         points = run.points[first : end + 1]
-        errors = mark.target.distances(points)[:, chosen].mean(axis=1)
+        errors = waypoint.target.distances(points)[:, chosen].mean(axis=1)
         steps = np.linalg.norm(np.diff(points[:, chosen], axis=0), axis=2).mean(axis=1)
         allowed = self._max_lag + 0.5 * np.maximum(np.append(0.0, steps), np.append(steps, 0.0))
         near = (errors <= allowed)[row - first : end - first]
@@ -419,33 +420,36 @@ class _Performance:
         missed = not np.any(near)
         reached = (row - begun) * cycle_of(run.limits)
         error = float(errors[row - first])
-        tip = tip_off(mark.tip, mark.target, reference.arm.at(run.q[row]))
-        if mark.way is not None:
-            since = max([other.row for other in reference.marks if other.row < mark.row], default=0)
+        tip = tip_off(waypoint.tip, waypoint.target, reference.arm.at(run.q[row]))
+        if waypoint.way is not None:
+            since = max([other.row for other in reference.waypoints if other.row < waypoint.row], default=0)
             first = begun + int(np.searchsorted(places[begun : row + 1], since))
-            off = mark.way.distance(run.q[min(first, row) : row + 1])
-            missed = missed or off > self._max_distance(mark.way)
-        return Waypoint(mark.name, planned, reached, row, error, off, tip, moved, mark.speed, missed)
+            off = waypoint.way.distance(run.q[min(first, row) : row + 1])
+            missed = missed or off > self._max_distance(waypoint.way)
+        return WaypointResult(
+            waypoint.name, planned, reached, row, error, off, tip, moved, waypoint.speed, missed
+        )
 
     def _max_distance(self, way: Way) -> float:
         """Return the largest accepted distance of the arm from its path [m]."""
         return way.planned + self._max_lag
 
-    def _describe_missed(self, waypoints: tuple[Waypoint, ...]) -> str:
+    def _describe_missed(self, results: tuple[WaypointResult, ...]) -> str:
         """Say which named postures the arm passed at a distance, and why if that is known."""
-        for mark, waypoint in zip(self.guide.reference.marks, waypoints, strict=True):
-            off = waypoint.off_curve or 0.0
-            if mark.way is not None and waypoint.missed and off > self._max_distance(mark.way):
-                most = length_text(self._max_distance(mark.way))
-                allowed = f"planned: {length_text(mark.way.planned)}, allowed: {most}"
-                return f"the arm left its path by {length_text(off)} on the way to {mark.name} ({allowed})"
-        missed = [waypoint for waypoint in waypoints if waypoint.missed]
-        worst = max(missed, key=lambda waypoint: waypoint.mean_error or 0.0)
+        for waypoint, result in zip(self.guide.reference.waypoints, results, strict=True):
+            off = result.off_curve or 0.0
+            if waypoint.way is not None and result.missed and off > self._max_distance(waypoint.way):
+                most = length_text(self._max_distance(waypoint.way))
+                allowed = f"planned: {length_text(waypoint.way.planned)}, allowed: {most}"
+                left = f"the arm left its path by {length_text(off)}"
+                return f"{left} on the way to {waypoint.name} ({allowed})"
+        missed = [result for result in results if result.missed]
+        worst = max(missed, key=lambda result: result.mean_error or 0.0)
         one = len(missed) == 1
-        number = f"{len(missed)} of {len(waypoints)} postures"
+        number = f"{len(missed)} of {len(results)} postures"
         text = f"{number} {'is' if one else 'are'} missed, {'' if one else 'most '}{worst.name}, by "
         text += f"{length_text(worst.mean_error or 0.0)} on average (allowed: {length_text(self._max_lag)})"
-        row = self.guide.reference.marks[waypoints.index(worst)].row
+        row = self.guide.reference.waypoints[results.index(worst)].row
         if not self.guide.is_within_limits(row):
             text += "; it is outside the joint limits, or within their position margin"
         return text
@@ -520,7 +524,7 @@ class _Performance:
             begun = self._place
             progress = None
             remaining = guide.remaining(begun, controller)
-            mark = guide.next_mark(begun)
+            waypoint = guide.next_waypoint(begun)
             loop.memory = controller.start(remaining, loop.ahead.chain_state, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
@@ -531,10 +535,10 @@ class _Performance:
                     break
                 if step.reason and not ahead.arrived:
                     break
-                if begun + ahead.place >= mark.row:
+                if begun + ahead.place >= waypoint.row:
                     if self._leaves_path(step, begun + ahead.place):
                         break
-                    mark = guide.next_mark(begun + ahead.place)
+                    waypoint = guide.next_waypoint(begun + ahead.place)
                 progress = ahead
                 place = self._advance(begun + ahead.place)
                 target = target if place == foreseen else guide.target(place)
@@ -544,19 +548,19 @@ class _Performance:
                     return ended
             else:
                 return self._catch_up()
-            mark = guide.next_mark(self._place)
+            waypoint = guide.next_waypoint(self._place)
             left = self._place
             # A shorter path does not advance the plan faster.
-            due = loop.record.steps + guide.cycles(self._place, mark.row)
-            status, reason = self._go_to(float(mark.row), due)
+            due = loop.record.steps + guide.cycles(self._place, waypoint.row)
+            status, reason = self._go_to(float(waypoint.row), due)
             if status != "converged":
-                self._note(left, f"the arm left the path, and did not reach {mark.name} by another")
-                return status, f"on the way to {mark.name}: {reason}"
-            self._note(left, f"the arm left the path, and reached {mark.name} by another")
+                self._note(left, f"the arm left the path, and did not reach {waypoint.name} by another")
+                return status, f"on the way to {waypoint.name}: {reason}"
+            self._note(left, f"the arm left the path, and reached {waypoint.name} by another")
         return None
 
     def _leaves_path(self, step: Step, place: float) -> bool:
-        """Whether the arm is off the path after a step to a place, so that it would miss a mark there."""
+        """Whether the arm is off the path after a step to a place, so that it would miss a waypoint there."""
         target = self.guide.target(place)
         points = self.loop.ahead.moved(step.dq).chain_state.points
         apart = target.mean_distance(points)

@@ -59,7 +59,7 @@ from pinposture.task.keyframe import (
 )
 from pinposture.task.keyframes import PEAK_SPEED_RATIO, ROW_STEP, Progress, keyframe_reference
 from pinposture.task.passage import require_wide_pipe
-from pinposture.task.reference import Mark, Reference, smooth_step
+from pinposture.task.reference import Reference, Waypoint, smooth_step
 
 Array = NDArray[np.float64]
 
@@ -304,7 +304,7 @@ def phased_reference(
         progress: called with the number of postures of a phase found so far, and their total number.
 
     Returns:
-        The reference. Its marks are named after the phases.
+        The reference. Its waypoints are named after the phases.
 
     Raises:
         TaskError: the arm cannot perform a phase; names it.
@@ -343,7 +343,7 @@ def plan_phases(
         first = pieces[0]
         last = pieces[-1]
         ends = time + sum(piece.duration for piece in pieces)
-        path = first.marks[0].target.curve if isinstance(phase.motion, Leader) else None
+        path = first.waypoints[0].target.curve if isinstance(phase.motion, Leader) else None
         end = last.configuration(last.rows - 1)
         planned.append(PlannedPhase(first.configuration(0), end, time, ends, path))
         time = ends
@@ -357,7 +357,11 @@ def surrounded(phases: Sequence[Phase], reference: Reference, scene: Scene) -> S
         TaskError: a pipe is too narrow, or bends too much; names the phase.
     """
     paths = list(
-        {id(mark.way): mark.target.curve for mark in reference.marks if mark.way is not None}.values()
+        {
+            id(waypoint.way): waypoint.target.curve
+            for waypoint in reference.waypoints
+            if waypoint.way is not None
+        }.values()
     )
     leaders = [index for index, phase in enumerate(phases) if isinstance(phase.motion, Leader)]
     for index, path in zip(leaders, paths, strict=False):
@@ -429,12 +433,12 @@ class _Planner:
         first = self._pieces[0]
         offsets = [np.zeros((1, self._arm.nv))]
         weights = [first.weights[:1]]
-        marks: list[Mark] = []
+        waypoints: list[Waypoint] = []
         for piece in self._pieces:
             row = sum(map(len, offsets)) - 1
             offsets.append(offsets[-1][-1] + piece.offsets[1:])
             weights.append(piece.weights[1:])
-            marks += [mark._replace(row=mark.row + row) for mark in piece.marks]
+            waypoints += [waypoint._replace(row=waypoint.row + row) for waypoint in piece.waypoints]
         durations = np.concatenate([np.diff(piece.times) for piece in self._pieces])
         return Reference(
             arm=self._arm,
@@ -442,17 +446,17 @@ class _Planner:
             start=first.start,
             offsets=np.concatenate(offsets),
             weights=np.concatenate(weights),
-            marks=tuple(marks),
+            waypoints=tuple(waypoints),
             durations=durations,
         )
 
     def _add(self, piece: Reference, name: str) -> None:
-        """Add a piece; its marks are named after the phase."""
+        """Add a piece; its waypoints are named after the phase."""
         named = tuple(
-            mark._replace(name=name if mark.name in ("", name) else f"{name}: {mark.name}")
-            for mark in piece.marks
+            waypoint._replace(name=name if waypoint.name in ("", name) else f"{name}: {waypoint.name}")
+            for waypoint in piece.waypoints
         )
-        self._pieces.append(replace(piece, marks=named))
+        self._pieces.append(replace(piece, waypoints=named))
         self._q = piece.configuration(piece.rows - 1)
 
     def _follow(self, leader: Leader, name: str) -> None:
@@ -462,7 +466,7 @@ class _Planner:
         reference = follow_leader(
             self._arm, interval=self._dt, start=self._q, progress=self._progress, **arguments
         )
-        path = reference.marks[0].target.curve
+        path = reference.waypoints[0].target.curve
         if radius is not None:
             self._scene = with_pipe(self._scene, path, radius, reference)
         self._inside = None if leader.and_back else (leader, reference)
@@ -472,8 +476,8 @@ class _Planner:
         require_within_reach(self._arm, goal.task(self._arm))
         path = self._drag(goal) or self._search(goal)
         piece = self._along(path, goal.duration, goal.hold)
-        mark = _mark(name, piece)._replace(tip=goal.task(self._arm), row=piece.rows - 1)
-        self._add(replace(piece, marks=(mark,)), name)
+        waypoint = _waypoint(name, piece)._replace(tip=goal.task(self._arm), row=piece.rows - 1)
+        self._add(replace(piece, waypoints=(waypoint,)), name)
 
     def _drag(self, goal: TipGoal) -> JointPath | None:
         """Return the path on which the tip moves straight to its goal; None if it is not clear."""
@@ -542,7 +546,7 @@ class _Planner:
         piece = keyframe_reference(
             self._arm, keyframes, self._dt, self._continuity, self._progress, limits=self._limits
         )
-        self._add(replace(piece, marks=piece.marks[1:] if self._pieces else piece.marks), name)
+        self._add(replace(piece, waypoints=piece.waypoints[1:] if self._pieces else piece.waypoints), name)
 
     def _withdraw(self, withdrawal: Withdrawal, name: str) -> None:
         if self._inside is None:
@@ -557,14 +561,14 @@ class _Planner:
             )
             pieces = self._reversed(entered) if path.blocked_by else [self._along(path, None, 0.0)]
             for piece in pieces:
-                marks = (_mark("back on the path", piece),) if piece is pieces[-1] else ()
-                self._add(replace(piece, marks=marks), name)
+                waypoints = (_waypoint("back on the path", piece),) if piece is pieces[-1] else ()
+                self._add(replace(piece, waypoints=waypoints), name)
         slower = 1.0 if withdrawal.speed is None else leader.speed / withdrawal.speed
         target = Target.from_configuration(arm, entered.start)
-        way = entered.marks[-1]
-        out = Mark("outside", entered.rows - 1, replace(target, curve=way.target.curve), way=way.way)
+        way = entered.waypoints[-1]
+        out = Waypoint("outside", entered.rows - 1, replace(target, curve=way.target.curve), way=way.way)
         self._inside = None
-        self._add(replace(_in_reverse(entered), interval=slower * entered.interval, marks=(out,)), name)
+        self._add(replace(_in_reverse(entered), interval=slower * entered.interval, waypoints=(out,)), name)
 
     def _reversed(self, entered: Reference) -> list[Reference]:
         """Return the pieces since an insertion in reverse, the last first."""
@@ -601,18 +605,18 @@ class _Planner:
 
 
 def _in_reverse(piece: Reference) -> Reference:
-    """Return a piece from its end to its beginning, without marks."""
+    """Return a piece from its end to its beginning, without waypoints."""
     return replace(
         piece,
         start=piece.configuration(piece.rows - 1),
         offsets=piece.offsets[::-1] - piece.offsets[-1],
         weights=piece.weights[::-1],
-        marks=(),
+        waypoints=(),
         durations=None if piece.durations is None else piece.durations[::-1],
     )
 
 
-def _mark(name: str, piece: Reference) -> Mark:
-    """Return the mark at the end of a piece."""
+def _waypoint(name: str, piece: Reference) -> Waypoint:
+    """Return the waypoint at the end of a piece."""
     q = piece.configuration(piece.rows - 1)
-    return Mark(name, piece.rows - 1, Target.from_configuration(piece.arm, q))
+    return Waypoint(name, piece.rows - 1, Target.from_configuration(piece.arm, q))

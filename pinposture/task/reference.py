@@ -33,7 +33,7 @@ class Way(Protocol):
         """Return the largest distance of any part of the arm in configurations (n, nq) from the path [m]."""
 
 
-class Mark(NamedTuple):
+class Waypoint(NamedTuple):
     """A named place of a reference.
 
     Attributes:
@@ -41,7 +41,7 @@ class Mark(NamedTuple):
         row: its row in the reference.
         target: its target, in place of that of the row; the residual is the distance from the curve.
         tip: its tip task; None without one.
-        speed: largest share of the velocity limits for the motion to it from the previous mark.
+        speed: largest share of the velocity limits for the motion to it from the previous waypoint.
         way: the path that the arm has to follow on the way to it; None if only the posture counts.
         end_off: distance of the tip from the end of the curve [m]; 0 if it does not have to be there.
     """
@@ -68,10 +68,10 @@ class Reference:
         offsets: joint displacement of each row from the first, in the direction of motion, (N + 1, nv)
             [rad or m]; the first is zero.
         weights: whether each control point has a target, as in `Target`, (N + 1, m).
-        marks: the named rows, in order; one for each keyframe.
+        waypoints: the named rows, in order; one for each keyframe.
         durations: time from each row to the next, (N,) [s]; None if it is the interval. The interval is then
             the shortest of them.
-        numbered: whether the marks are numbered keyframes, the first of them in the first row.
+        numbered: whether the waypoints are numbered keyframes, the first of them in the first row.
     """
 
     arm: Arm
@@ -79,7 +79,7 @@ class Reference:
     start: Array
     offsets: Array
     weights: Array
-    marks: tuple[Mark, ...] = ()
+    waypoints: tuple[Waypoint, ...] = ()
     durations: Array | None = None
     numbered: bool = False
 
@@ -94,7 +94,8 @@ class Reference:
             raise InvalidValue("offsets", self.offsets, "finite numbers")
 
     def __repr__(self) -> str:
-        return f"Reference({self.arm}, {self.rows} rows, {self.duration:.4g} s, {len(self.marks)} marks)"
+        waypoints = f"{len(self.waypoints)} waypoints"
+        return f"Reference({self.arm}, {self.rows} rows, {self.duration:.4g} s, {waypoints})"
 
     @property
     def rows(self) -> int:
@@ -118,16 +119,18 @@ class Reference:
         return self.arm.integrate(self.start, self.offsets[row])
 
 
-def off_curve(mark: Mark) -> float | None:
-    """Return the largest distance of the targets of a mark from its curve [m]; None without a curve.
+def off_curve(waypoint: Waypoint) -> float | None:
+    """Return the largest distance of the targets of a waypoint from its curve [m]; None without a curve.
 
     It is that on the way to it if the arm has to follow the curve all the way, and includes the distance of
     the tip from the end of the curve if it has to be there.
     """
-    if mark.way is not None:
-        return mark.way.planned
-    residual = mark.target.residual
-    return None if residual is None else max(float(residual[mark.target.has_target].max()), mark.end_off)
+    if waypoint.way is not None:
+        return waypoint.way.planned
+    residual = waypoint.target.residual
+    if residual is None:
+        return None
+    return max(float(residual[waypoint.target.has_target].max()), waypoint.end_off)
 
 
 def tip_off(tip: EndEffector | None, target: Target, state: ArmState) -> float | None:
@@ -180,13 +183,13 @@ def posture_feasibility(reference: Reference, scene: Scene | None) -> list[Postu
     """
     arm = reference.arm
     found = []
-    for mark in _named(reference):
-        q = reference.configuration(mark.row)
+    for waypoint in _named(reference):
+        q = reference.configuration(waypoint.row)
         room, pair = (None, None) if scene is None else _closest(arm, q, scene)
-        tip = tip_off(mark.tip, mark.target, arm.at(q))
-        planned = float(reference.times[mark.row])
-        moved = mark.target.moved
-        found.append(PostureFeasibility(mark.name, planned, off_curve(mark), tip, room, pair, moved))
+        tip = tip_off(waypoint.tip, waypoint.target, arm.at(q))
+        planned = float(reference.times[waypoint.row])
+        moved = waypoint.target.moved
+        found.append(PostureFeasibility(waypoint.name, planned, off_curve(waypoint), tip, room, pair, moved))
     return found
 
 
@@ -221,12 +224,14 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
             warn_caller(f"{where}: {inside}")
 
 
-def _named(reference: Reference) -> list[Mark]:
+def _named(reference: Reference) -> list[Waypoint]:
     """Return the named places of the first lap, and the beginning if it has no name."""
-    marks = list({id(mark.target): mark for mark in reversed(reference.marks)}.values())[::-1]
-    if not marks or marks[0].row > 0:
-        marks.insert(0, Mark("the beginning", 0, Target.from_configuration(reference.arm, reference.start)))
-    return marks
+    first_lap = {id(waypoint.target): waypoint for waypoint in reversed(reference.waypoints)}
+    waypoints = list(first_lap.values())[::-1]
+    if not waypoints or waypoints[0].row > 0:
+        target = Target.from_configuration(reference.arm, reference.start)
+        waypoints.insert(0, Waypoint("the beginning", 0, target))
+    return waypoints
 
 
 # Curves as vectors: start, initial direction, and bending.

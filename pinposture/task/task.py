@@ -348,7 +348,7 @@ class Task:
         if is_phased(self.motion):
             with self._naming():
                 return surrounded(self.motion, reference, self.effective_scene)
-        path = reference.marks[0].target.curve if reference.marks else None
+        path = reference.waypoints[0].target.curve if reference.waypoints else None
         if not isinstance(self.motion, Leader) or self.motion.pipe is None or path is None:
             return self.effective_scene
         with self._naming("leader", "pipe"):

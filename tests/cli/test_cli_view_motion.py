@@ -14,7 +14,7 @@ from viz.motions import five_modules, some_motion
 import pinposture as pp
 from pinposture.cli.output import FORMATS, find_kept, load_kept, motion_files, write_files
 from pinposture.errors import FileError
-from pinposture.motion.trajectory import Trajectory, Waypoint
+from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.motion.words import in_words
 
 
@@ -172,7 +172,7 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
 
 def test_a_summary_in_words_tells_what_a_person_asks_for():
     motion = some_motion(planned=1.25, start_index=10, scene=around_a_ball())
-    passed = (*motion.waypoints, Waypoint("late", 1.25, None, None, None))
+    passed = (*motion.waypoints, WaypointResult("late", 1.25, None, None, None))
     motion = replace(motion, waypoints=passed, deviations=("at 1 s it went round", "and again"))
     words = in_words(motion.summary())
     assert words["verdict"] == f"reached the target (converged): {motion.run.reason}"

@@ -80,7 +80,7 @@ def crawl():
     feed = pp.ModuleTemplate("Feed", joints=(slide,), link_lengths=(0.05,))
     arm = pp.Arm.from_modules([feed, *[pp.template("RyRz")] * 10])
     reference = pp.follow_leader(arm, pipe_axis((0.1, 0.1), [(0.2, np.pi / 2)]), interval=0.2, speed=0.05)
-    return arm, reference, *tube(reference.marks[-1].target.curve, PIPE)
+    return arm, reference, *tube(reference.waypoints[-1].target.curve, PIPE)
 
 
 @pytest.mark.long

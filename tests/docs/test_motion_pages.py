@@ -86,7 +86,7 @@ def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> No
     file.write_text(text)
     loaded = pp.Task.load(file)
     reference = loaded.reference()
-    assert [mark.name for mark in reference.marks] == ["straight", "coil"]
+    assert [waypoint.name for waypoint in reference.waypoints] == ["straight", "coil"]
     assert reference.duration == pytest.approx(3.5)
     # What is commented out can be put in, with limits for both kinds of joints.
     (feed,) = re.findall(r"^# (feed = \{.*\})", text, re.MULTILINE)
@@ -115,8 +115,8 @@ def test_the_leader_is_one(in_a_folder: Path) -> None:
     (in_a_folder / "task.toml").write_text(f'{arm}[limits]\ncycle = "1 s"\n{leader}')
     loaded = pp.Task.load(in_a_folder / "task.toml")
     reference = loaded.reference()
-    assert [mark.name for mark in reference.marks] == ["inside", "outside"]
-    deepest = reference.configuration(reference.marks[0].row)[0] - reference.start[0]
+    assert [waypoint.name for waypoint in reference.waypoints] == ["inside", "outside"]
+    deepest = reference.configuration(reference.waypoints[0].row)[0] - reference.start[0]
     assert deepest == pytest.approx(0.8)
     assert len(loaded.surroundings(reference).obstacles) > 30
 

@@ -140,10 +140,14 @@ def test_keyframes_of_all_laps_are_where_the_reference_has_them(count: int, dura
     tour = edits.with_keyframe(0, duration=duration)(edits.repeated(3)(single))
     reference = tour.reference()
     passes = edits.passes_of(tour)
-    marks = reference.marks
-    assert [each.time for each in passes] == pytest.approx([reference.interval * mark.row for mark in marks])
+    waypoints = reference.waypoints
+    assert [each.time for each in passes] == pytest.approx(
+        [reference.interval * waypoint.row for waypoint in waypoints]
+    )
     names = [frame.name or f"keyframe {index + 1}" for index, frame in enumerate(frames)]
-    assert [f"{names[each.keyframe]}, lap {each.lap + 1}" for each in passes] == [mark.name for mark in marks]
+    assert [f"{names[each.keyframe]}, lap {each.lap + 1}" for each in passes] == [
+        waypoint.name for waypoint in waypoints
+    ]
     assert edits.repeated(1)(tour).motion == frames
     assert [each.time for each in edits.passes_of(single)] == edits.times_of(single)
 

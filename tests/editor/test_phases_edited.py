@@ -67,7 +67,7 @@ def test_the_first_keyframe_is_where_the_phase_before_ends(file: Path) -> None:
     assert isinstance(view, EditedPhase)
     first, left = edits.keyframes_of(view)
     ended = task.reference()
-    inside = next(mark.row for mark in ended.marks if mark.name == "in: inside")
+    inside = next(waypoint.row for waypoint in ended.waypoints if waypoint.name == "in: inside")
     assert first.joints == pytest.approx(task.arm.positions(ended.configuration(inside)))
     assert left.name == "left"
     assert edits.times_of(view) == [0.0, 2.0]
@@ -122,7 +122,7 @@ def test_more_keyframes_and_obstacles_are_saved(file: Path) -> None:
 def test_every_phase_is_shown_by_the_postures_in_which_it_begins_and_ends(file: Path) -> None:
     task = pp.Task.load(file)
     whole = task.reference()
-    ends = {mark.name: whole.configuration(mark.row) for mark in whole.marks}
+    ends = {waypoint.name: whole.configuration(waypoint.row) for waypoint in whole.waypoints}
     here = editable(task, 0)
     assert isinstance(here, EditedPhase)
     begin, end = edits.keyframes_of(here)

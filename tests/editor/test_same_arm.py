@@ -78,10 +78,10 @@ def assert_same(bench: Bench, folder: Path, *keyframes: int) -> None:
     assert ended.exit_code == 0, ended.output
     ran = pp.load(out / "motion.npz", Trajectory)
     assert np.array_equal(ran.q, played.q)
-    marks = loaded.reference().marks
+    waypoints = loaded.reference().waypoints
     for keyframe in keyframes:
         live = bench.seen(keyframe)
-        for other in (opened.seen(keyframe), marks[keyframe].target.q):
+        for other in (opened.seen(keyframe), waypoints[keyframe].target.q):
             assert np.abs(edited.arm.difference(live, other)).max() <= SAME
         away = np.abs([edited.arm.difference(live, q) for q in ran.q]).max(axis=1)
         assert away.min() <= SAME

@@ -19,7 +19,7 @@ import pinposture as pp
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.files import kind_of
 from pinposture.motion.trajectory import Trajectory
-from pinposture.task import Mark, Reference, perform
+from pinposture.task import Reference, Waypoint, perform
 
 LIMITS = pp.Limits(step=None, velocity=np.full(8, 1.5), dt=0.05, acceleration=30.0, position_margin=0.01)
 
@@ -37,8 +37,8 @@ def motion_of(
     weights = np.ones((31, 4))
     weights[10:20, 1] = 0.0
     q = np.full(arm.nv, 0.1)
-    marks = tuple(
-        Mark(name, row, pp.Target.from_configuration(arm, q + offsets[row]))
+    waypoints = tuple(
+        Waypoint(name, row, pp.Target.from_configuration(arm, q + offsets[row]))
         for name, row in (("first, with ä", 0), ("middle", 15), ("last", 30))
     )
     told: list[float] = []
@@ -48,7 +48,7 @@ def motion_of(
         return len(told) == stop
 
     scene = pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)}) if ball else None
-    reference = Reference(arm, 0.04, q, offsets, weights, marks)
+    reference = Reference(arm, 0.04, q, offsets, weights, waypoints)
     return perform(reference, controller, LIMITS, scene, q0=q + 0.05, progress=progress)
 
 

@@ -146,7 +146,7 @@ def test_a_path_among_obstacles_has_to_begin_at_the_tip() -> None:
     assert free.motion.placement == "align"
     reference = free.reference()
     tip = arm.at(reference.start).points[-1]
-    np.testing.assert_allclose(reference.marks[0].target.moved.translation, tip, atol=1e-12)
+    np.testing.assert_allclose(reference.waypoints[0].target.moved.translation, tip, atol=1e-12)
     among = pp.Task(arm, Leader(path, 0.1), LIMITS, scene=BALL)
     assert among.motion.placement == "as_is"
     with pytest.raises(pp.PostureError, match="start of the path"):

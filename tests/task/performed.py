@@ -10,7 +10,7 @@ import pinocchio as pin
 
 import pinposture as pp
 from pinposture.motion.trajectory import Trajectory
-from pinposture.task import Mark, Reference
+from pinposture.task import Reference, Waypoint
 
 ROUNDING = 1e-9
 
@@ -56,14 +56,14 @@ def reference_through(
 ) -> Reference:
     """From stop to stop, at rest at each, with as many seconds and rows for each piece."""
     pieces = [np.zeros((1, arm.nv))]
-    marks = [Mark("stop 0", 0, pp.Target.from_configuration(arm, stops[0]))]
+    waypoints = [Waypoint("stop 0", 0, pp.Target.from_configuration(arm, stops[0]))]
     for k, (before, after) in enumerate(pairwise(stops), 1):
         pieces.append(pieces[-1][-1] + quintic(rows)[1:] * pin.difference(arm.model, before, after))
-        marks.append(Mark(f"stop {k}", k * (rows - 1), pp.Target.from_configuration(arm, after)))
+        waypoints.append(Waypoint(f"stop {k}", k * (rows - 1), pp.Target.from_configuration(arm, after)))
     offsets = np.concatenate(pieces)
     asked = np.ones(arm.n_modules) if weights is None else weights
     interval = seconds / (rows - 1)
-    return Reference(arm, interval, stops[0], offsets, np.tile(asked, (len(offsets), 1)), tuple(marks))
+    return Reference(arm, interval, stops[0], offsets, np.tile(asked, (len(offsets), 1)), tuple(waypoints))
 
 
 def random_reference(

@@ -189,7 +189,7 @@ def test_rows_go_on_smoothly_within_the_limits(curvature, torsion, depth, turn, 
 def test_closest_is_least_of_what_is_near():
     """No joint can be turned, alone or with others, so that the ends of links come nearer to the path."""
     reference = follow_leader(crossed(), winding(), 0.05, 0.1, depth=0.35)
-    laid = reference.marks[-1].target.curve
+    laid = reference.waypoints[-1].target.curve
     q = reference.configuration(reference.rows - 1)
 
     def cost(q):
@@ -225,7 +225,7 @@ def test_where_the_arm_stands_and_which_way_its_slide_counts_make_no_difference(
     expected = follow_leader(crossed(), winding(), 0.1, 0.1, depth=0.35)
     pose = pin.SE3(pin.exp3(np.array([0.3, -0.5, 1.0])), np.array([1.0, -2.0, 0.5]))
     moved = Arm.from_modules([feed(), *CROSSED], base_placement=pose)
-    laid = expected.marks[-1].target.curve.moved(pose.rotation, pose.translation)
+    laid = expected.waypoints[-1].target.curve.moved(pose.rotation, pose.translation)
     there = follow_leader(moved, laid, 0.1, 0.1, placement="as_is", depth=0.35)
     assert there.offsets == pytest.approx(expected.offsets, abs=1e-7)
     back = Arm.from_modules([feed((-1, 0, 0), -0.6, 0.0), *CROSSED])
@@ -246,12 +246,12 @@ def test_a_start_with_the_feed_half_way_and_the_way_back():
     middle = reference.rows // 2
     assert reference.rows == 2 * middle + 1
     assert np.array_equal(reference.offsets[::-1], reference.offsets)
-    assert [(mark.name, mark.row) for mark in reference.marks] == [
+    assert [(waypoint.name, waypoint.row) for waypoint in reference.waypoints] == [
         ("inside", middle),
         ("outside", 2 * middle),
     ]
-    for mark in reference.marks:
-        assert mark.target.q == pytest.approx(reference.configuration(mark.row))
+    for waypoint in reference.waypoints:
+        assert waypoint.target.q == pytest.approx(reference.configuration(waypoint.row))
     assert counted == [(k + 1, middle + 1) for k in range(middle + 1)]
     deviation = path_deviation(hinged(), rows(reference), path, start=start)
     assert deviation.largest == pytest.approx(LINK**2 / 8 / 0.3, rel=1e-2)
@@ -292,7 +292,7 @@ def test_an_arm_of_twenty_modules_goes_through_a_pipe_with_two_bends():
     deviation = path_deviation(arm, rows(reference), path)
     assert deviation.length == pytest.approx(1.0)
     assert deviation.percent < 0.1
-    walls = CollisionModel(arm, pipe(reference.marks[-1].target.curve, 0.045, self_collision=False))
+    walls = CollisionModel(arm, pipe(reference.waypoints[-1].target.curve, 0.045, self_collision=False))
     # A radius of the arm of 1 cm, 1 percent of the pipe's for how its walls are made, and the deviation.
     least = 0.045 * 0.99 - 0.01 - deviation.largest
     clear = [walls.minimum(q).distance for q in rows(reference)[::12]]
@@ -330,7 +330,7 @@ def test_the_distance_of_the_plan_from_the_path_is_told():
     path = arc(0.2, 1.5)
     reference = follow_leader(crossed(), path, 0.1, 0.1, and_back=True)
     deviation = path_deviation(crossed(), rows(reference), path)
-    assert [off_curve(mark) for mark in reference.marks] == pytest.approx([deviation.largest] * 2)
+    assert [off_curve(waypoint) for waypoint in reference.waypoints] == pytest.approx([deviation.largest] * 2)
     motion = perform(reference, "geodesic", Limits(dt=0.1, acceleration=3.0))
     inside, outside = motion.waypoints
     for waypoint, performed in ((inside, motion.q[: inside.row + 1]), (outside, motion.q[inside.row :])):

@@ -44,23 +44,29 @@ def five(arm: pp.Arm, request: pytest.FixtureRequest) -> Reference:
 
 
 def test_keyframes_are_taken_exactly_at_their_times(arm: pp.Arm, five: Reference) -> None:
-    assert [mark.name for mark in five.marks] == ["straight", "S", "keyframe 3", "coil", "keyframe 5"]
-    times = [five.times[mark.row] for mark in five.marks]
+    assert [waypoint.name for waypoint in five.waypoints] == [
+        "straight",
+        "S",
+        "keyframe 3",
+        "coil",
+        "keyframe 5",
+    ]
+    times = [five.times[waypoint.row] for waypoint in five.waypoints]
     assert np.allclose(times, [0.0, 1.5, 2.5, 4.5, 7.0])  # to whole cycles of 0.02 s
-    for mark, keyframe in zip(five.marks, five_postures(), strict=True):
+    for waypoint, keyframe in zip(five.waypoints, five_postures(), strict=True):
         alone = pp.resolve_targets(arm, keyframe.curve)
-        q = five.configuration(mark.row)
-        assert np.array_equal(q, mark.target.q)
+        q = five.configuration(waypoint.row)
+        assert np.array_equal(q, waypoint.target.q)
         assert np.abs(q - alone.q).max() < 1e-3  # by default, fewer samples stand for the curve
-        assert np.array_equal(mark.target.points, arm.at(q).points)
-        assert np.linalg.norm(mark.target.points - alone.points, axis=1).max() < 5e-5
-        assert mark.target.residual.max() < 1e-8
-        assert np.all(mark.target.weights == 1.0)
+        assert np.array_equal(waypoint.target.points, arm.at(q).points)
+        assert np.linalg.norm(waypoint.target.points - alone.points, axis=1).max() < 5e-5
+        assert waypoint.target.residual.max() < 1e-8
+        assert np.all(waypoint.target.weights == 1.0)
 
 
 def test_it_begins_ends_and_holds_at_rest(arm: pp.Arm, five: Reference) -> None:
     q = positions(five)
-    coiled = five.marks[3].row
+    coiled = five.waypoints[3].row
     held = coiled + round(0.5 / five.interval)
     assert np.array_equal(q[coiled : held + 1], np.broadcast_to(q[coiled], (held + 1 - coiled, arm.nv)))
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
@@ -76,7 +82,7 @@ def test_joints_stay_within_limits_and_take_short_steps(arm: pp.Arm, five: Refer
 
 
 def test_the_arm_never_touches_itself_while_it_uncoils(five: Reference) -> None:
-    uncoiling = range(five.marks[3].row, five.rows, 9)
+    uncoiling = range(five.waypoints[3].row, five.rows, 9)
     apart = np.abs(np.subtract.outer(np.arange(20), np.arange(20))) >= 3
     nearest = min(squareform(pdist(each))[apart].min() for each in points(five, uncoiling))
     assert nearest > 0.9 * 0.06  # the rise of the coil in one turn
@@ -122,9 +128,9 @@ def test_other_templates_follow_their_curves(name: str) -> None:
         Keyframe(hook, duration=1.0, trim=True),
     ]
     reference = keyframe_reference(arm, keyframes, 0.05)
-    assert {mark.target.method for mark in reference.marks} == {"sequential"}
+    assert {waypoint.target.method for waypoint in reference.waypoints} == {"sequential"}
     assert np.abs(np.diff(positions(reference), axis=0)).max() <= 0.06
-    assert max(mark.target.residual.max() for mark in reference.marks) < 1e-8 * arm.length
+    assert max(waypoint.target.residual.max() for waypoint in reference.waypoints) < 1e-8 * arm.length
     # Ends of modules stay as far apart as modules can be long.
     found = points(reference, range(0, reference.rows, 7))
     ends = np.linalg.norm(np.diff(found, axis=1), axis=2)
@@ -143,7 +149,7 @@ def test_continuous_joints_go_on_past_half_a_turn() -> None:
         for angle in (0.0, 2.5, 5.0, 7.5, 5.0)
     ]
     reference = keyframe_reference(arm, keyframes, 0.02)
-    turned = [reference.offsets[mark.row, 0] for mark in reference.marks]
+    turned = [reference.offsets[waypoint.row, 0] for waypoint in reference.waypoints]
     assert np.allclose(turned, (0.0, 2.5, 5.0, 7.5, 5.0), atol=1e-9)
     assert np.abs(np.diff(reference.offsets, axis=0)).max() <= 0.06
 
@@ -164,7 +170,7 @@ def test_between_a_region_and_all_a_point_has_a_target_if_it_has_one_at_either_e
     for index, region in ((1, (0, 4)), (2, (3, 9)), (3, (0, 9))):
         keyframes[index] = replace(keyframes[index], region=region)
     reference = keyframe_reference(arm, keyframes, 0.02)
-    rows = [mark.row for mark in reference.marks]
+    rows = [waypoint.row for waypoint in reference.waypoints]
 
     def chosen(row: int) -> list[int]:
         return np.flatnonzero(reference.weights[row]).tolist()
@@ -176,24 +182,26 @@ def test_between_a_region_and_all_a_point_has_a_target_if_it_has_one_at_either_e
     held = rows[3] + round(0.5 / reference.interval)
     assert chosen(rows[3]) == chosen(held) == list(range(10))
     assert chosen(held + 1) == chosen(rows[4]) == list(range(20))
-    assert np.array_equal(reference.marks[1].target.weights, reference.weights[rows[1]])
+    assert np.array_equal(reference.waypoints[1].target.weights, reference.weights[rows[1]])
 
 
 def test_tips_are_served_and_the_rest_of_the_motion_stays(arm: pp.Arm) -> None:
     keyframes = five_postures()
     plain = keyframe_reference(arm, keyframes, 0.02)
-    tips = [mark.target.points[-1] for mark in plain.marks]
+    tips = [waypoint.target.points[-1] for waypoint in plain.waypoints]
     wanted = tips[1] - (0.05, 0.02, 0.0), tips[3] + (0.01, 0.0, 0.0)
     keyframes[1] = replace(keyframes[1], tip=pp.EndEffector(wanted[0], priority=True), region=(0, 9))
     keyframes[3] = replace(keyframes[3], tip=pp.EndEffector(wanted[1], weight=100.0))
     reference = keyframe_reference(arm, keyframes, 0.02)
-    first = reference.marks[1]
-    last = reference.marks[3]
+    first = reference.waypoints[1]
+    last = reference.waypoints[3]
     assert np.linalg.norm(first.target.points[-1] - wanted[0]) < 1e-4 * arm.length
-    assert np.linalg.norm(first.target.points[:10] - plain.marks[1].target.points[:10], axis=1).max() < 1e-3
+    assert (
+        np.linalg.norm(first.target.points[:10] - plain.waypoints[1].target.points[:10], axis=1).max() < 1e-3
+    )
     assert np.linalg.norm(last.target.points[-1] - wanted[1]) < 0.005
     offsets = positions(reference) - positions(plain)
-    for row in (0, reference.marks[2].row, reference.marks[4].row):
+    for row in (0, reference.waypoints[2].row, reference.waypoints[4].row):
         assert np.abs(offsets[row]).max() < 1e-9
     assert np.abs(np.diff(positions(reference), axis=0)).max() <= 0.06
     held = slice(last.row, last.row + round(0.5 / reference.interval) + 1)
@@ -273,9 +281,9 @@ def test_any_splines_give_a_motion_that_keeps_its_promises(
     assert np.abs(np.diff(q, axis=0)).max() <= 0.06
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
     # From rest, a smooth motion is slow at first: its first step of n is a small share of its largest one.
-    first, middle, last = (mark.row for mark in reference.marks)
+    first, middle, last = (waypoint.row for waypoint in reference.waypoints)
     for away in (steps[first:middle], steps[middle:last][::-1]):
         assert away[0] <= 0.6 * away.max() / max(len(away) // 16, 1) + 1e-9
-    for mark, curve in zip(reference.marks, curves, strict=True):
-        own = pp.resolve_targets(small, curve, method=mark.target.method)
-        assert mark.target.residual.max() <= own.residual.max() + 0.01 * 0.18
+    for waypoint, curve in zip(reference.waypoints, curves, strict=True):
+        own = pp.resolve_targets(small, curve, method=waypoint.target.method)
+        assert waypoint.target.residual.max() <= own.residual.max() + 0.01 * 0.18

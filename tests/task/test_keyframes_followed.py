@@ -43,18 +43,18 @@ def promises(reference: Reference) -> None:
     assert np.all(np.isfinite(q))
     assert np.all((q >= arm.limits.lower) & (q <= arm.limits.upper))
     assert (np.abs(np.diff(q, axis=0)) / arm.joint_units).max() <= 0.06
-    for mark in reference.marks:
-        assert np.array_equal(mark.target.q, reference.configuration(mark.row))
+    for waypoint in reference.waypoints:
+        assert np.array_equal(waypoint.target.q, reference.configuration(waypoint.row))
 
 
 def midway(reference: Reference, index: int) -> tuple[np.ndarray, int]:
     """Points that trace the curve in the middle of the time from one rest to the next; and the row."""
-    arm, (first, last) = reference.arm, reference.marks[index : index + 2]
+    arm, (first, last) = reference.arm, reference.waypoints[index : index + 2]
     bending = Bending(arm, 1.2 * max(arm.length, first.target.parameters[-1]))
     vectors = []
-    for mark in (first, last):
+    for waypoint in (first, last):
         vectors.append(
-            bending.vector(AnchoredCurve(mark.target.curve, 0.0), vectors[-1] if vectors else None)
+            bending.vector(AnchoredCurve(waypoint.target.curve, 0.0), vectors[-1] if vectors else None)
         )
     curve = bending.curves(np.mean(vectors, axis=0)[None])[0]
     return curve.at(np.linspace(0, curve.length, 40_000)), (first.row + last.row) // 2
@@ -73,8 +73,8 @@ def test_arms_without_closed_forms_follow_their_curves(name: str) -> None:
     arm = ARMS[name]()
     reference = keyframe_reference(arm, gentle(arm.length), 0.02)
     promises(reference)
-    for mark in reference.marks:
-        assert mark.target.residual.max() < 1e-5 * arm.length
+    for waypoint in reference.waypoints:
+        assert waypoint.target.residual.max() < 1e-5 * arm.length
     alone = keyframe_reference(arm, gentle(arm.length)[:2], 0.02)
     assert off_curve(alone, 0) < 1e-4
 
@@ -93,7 +93,7 @@ def test_an_arm_that_has_to_roll_while_it_is_straight_does_so_without_a_jump() -
     reference = keyframe_reference(arm, keyframes, 0.01)
     promises(reference)
     assert np.array_equal(reference.start, arm.neutral())
-    assert max(mark.target.residual.max() for mark in reference.marks) < 5e-4 * length
+    assert max(waypoint.target.residual.max() for waypoint in reference.waypoints) < 5e-4 * length
     # Half way it is on the arc of half the curvature, in either plane.
     assert off_curve(reference, 0) < 5e-3
 
@@ -103,7 +103,7 @@ def test_rolling_modules_take_postures_in_space() -> None:
     arm = snake(J("x"), J("z"), modules=6)
     reference = keyframe_reference(arm, five_postures(arm.length)[:3], 0.05)
     promises(reference)
-    assert max(mark.target.residual.max() for mark in reference.marks) < 2e-2 * arm.length
+    assert max(waypoint.target.residual.max() for waypoint in reference.waypoints) < 2e-2 * arm.length
 
 
 @pytest.mark.parametrize("continuity", ("velocity", "acceleration"))
@@ -119,9 +119,9 @@ def test_a_shape_near_the_joint_limits_is_held_between_equal_keyframes(continuit
     ]
     reference = keyframe_reference(arm, keyframes, 0.05, continuity)
     promises(reference)
-    assert {mark.target.method for mark in reference.marks} == {"sequential"}
-    assert max(mark.target.residual.max() for mark in reference.marks) < 1e-8
-    between = slice(reference.marks[1].row, reference.marks[2].row)
+    assert {waypoint.target.method for waypoint in reference.waypoints} == {"sequential"}
+    assert max(waypoint.target.residual.max() for waypoint in reference.waypoints) < 1e-8
+    between = slice(reference.waypoints[1].row, reference.waypoints[2].row)
     assert np.ptp(positions(reference)[between], axis=0).max() < 1e-6
 
 
@@ -138,8 +138,8 @@ def test_a_time_that_is_much_too_short_does_not_multiply_the_rows_of_all_others(
     slow = [replace(keyframes[0])] + [replace(each, duration=3.0) for each in keyframes[1:]]
     alike = keyframe_reference(arm, slow, 0.05, repeat=repeat)
     assert reference.rows <= repeat * 10_000
-    for mark, other in zip(reference.marks, alike.marks, strict=True):
-        assert np.allclose(mark.target.points, other.target.points, atol=1e-4 * arm.length)
+    for waypoint, other in zip(reference.waypoints, alike.waypoints, strict=True):
+        assert np.allclose(waypoint.target.points, other.target.points, atol=1e-4 * arm.length)
 
 
 @pytest.mark.long
@@ -167,14 +167,14 @@ def test_one_method_serves_the_whole_motion_unless_a_keyframe_asks_for_its_own()
     ]
     reference = keyframe_reference(arm, keyframes, 0.02)
     promises(reference)
-    assert [mark.target.method for mark in reference.marks] == ["smooth"] * 3
+    assert [waypoint.target.method for waypoint in reference.waypoints] == ["smooth"] * 3
     keyframes[2] = replace(keyframes[2], method="sequential")
     mixed = keyframe_reference(arm, keyframes, 0.02)
     promises(mixed)
-    assert mixed.marks[2].target.method == "sequential"
-    assert mixed.marks[2].target.residual.max() < 1e-8
+    assert mixed.waypoints[2].target.method == "sequential"
+    assert mixed.waypoints[2].target.residual.max() < 1e-8
     alone = pp.resolve_targets(arm, keyframes[2].curve, 200_000, placement="align", method="sequential")
-    assert np.abs(mixed.configuration(mixed.marks[2].row) - alone.q).max() < 1e-6
+    assert np.abs(mixed.configuration(mixed.waypoints[2].row) - alone.q).max() < 1e-6
 
 
 def test_a_crossfade_begins_with_one_motion_and_ends_with_the_other() -> None:
@@ -222,11 +222,11 @@ def test_slides_extend_and_retract_from_curve_to_curve(name: str, continuity: st
         for index, length in enumerate(lengths)
     ]
     reference = keyframe_reference(arm, keyframes, 0.05, continuity)
-    rows = [mark.row for mark in reference.marks]
-    for mark, length in zip(reference.marks, lengths, strict=True):
-        off = np.linalg.norm(tip(reference, mark.row) - (length, 0.0, 0.0))
+    rows = [waypoint.row for waypoint in reference.waypoints]
+    for waypoint, length in zip(reference.waypoints, lengths, strict=True):
+        off = np.linalg.norm(tip(reference, waypoint.row) - (length, 0.0, 0.0))
         assert off <= 1e-4 * arm.length
-        assert planned_off_curve(mark) == pytest.approx(off, abs=1e-9)
+        assert planned_off_curve(waypoint) == pytest.approx(off, abs=1e-9)
     along = np.array([tip(reference, row)[0] for row in range(reference.rows)])
     for begin, end, sign in ((rows[0], rows[1], 1.0), (rows[1], rows[2], -1.0)):
         assert np.all(sign * np.diff(along[begin : end + 1]) >= -1e-6 * arm.length)
@@ -249,9 +249,9 @@ def test_a_curved_shape_is_taken_with_its_slides_as_alone() -> None:
     keyframes = [replace(each, placement="align") for each in keyframes]
     reference = keyframe_reference(arm, keyframes, 0.05)
     promises(reference)
-    for mark, keyframe in zip(reference.marks, keyframes, strict=True):
+    for waypoint, keyframe in zip(reference.waypoints, keyframes, strict=True):
         alone = pp.resolve_targets(arm, keyframe.curve, placement="align")
-        assert np.linalg.norm(mark.target.points - alone.points, axis=1).max() < 1e-4 * arm.length
+        assert np.linalg.norm(waypoint.target.points - alone.points, axis=1).max() < 1e-4 * arm.length
 
 
 def test_a_base_without_limits_moves_from_curve_to_curve() -> None:
@@ -269,10 +269,10 @@ def test_a_base_without_limits_moves_from_curve_to_curve() -> None:
         for index, start in enumerate(starts)
     ]
     reference = keyframe_reference(arm, keyframes, 0.05)
-    for mark, start in zip(reference.marks, starts, strict=True):
-        assert np.allclose(arm.positions(reference.configuration(mark.row))[:3], start, atol=1e-9)
-        assert mark.target.residual.max() < 1e-9
-    half = positions(reference)[reference.marks[1].row // 2, :3]
+    for waypoint, start in zip(reference.waypoints, starts, strict=True):
+        assert np.allclose(arm.positions(reference.configuration(waypoint.row))[:3], start, atol=1e-9)
+        assert waypoint.target.residual.max() < 1e-9
+    half = positions(reference)[reference.waypoints[1].row // 2, :3]
     assert np.all((half > starts[0]) & (half < starts[1]))
 
 
@@ -284,7 +284,7 @@ def test_the_end_of_a_curve_counts_unless_it_is_trimmed() -> None:
     reach = arm.length + 1.0
     with pytest.warns(PostureWarning, match="takes the first 1.25 m of its curve of 1.5 m"):
         reference = keyframe_reference(arm, [first, long], 0.05)
-    assert planned_off_curve(reference.marks[1]) == pytest.approx(1.5 - reach, abs=1e-4)
+    assert planned_off_curve(reference.waypoints[1]) == pytest.approx(1.5 - reach, abs=1e-4)
     for change in ({"trim": True}, {"region": (0, 2), "trim": True}):
         other = keyframe_reference(arm, [first, replace(long, **change)], 0.05)
-        assert planned_off_curve(other.marks[1]) < 1e-6
+        assert planned_off_curve(other.waypoints[1]) < 1e-6

@@ -27,7 +27,7 @@ TASK = Path(__file__).parents[2] / "examples" / "tasks" / "pipe.toml"
 def through_a_pipe(radius, **options):
     path = arc(0.2, 0.9)
     reference = follow_leader(crossed(), path, 0.1, 0.1, depth=0.18)
-    return reference, pipe(reference.marks[-1].target.curve, radius, arm_radius=0.01, **options)
+    return reference, pipe(reference.waypoints[-1].target.curve, radius, arm_radius=0.01, **options)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_gaps_are_refused_exactly_if_the_arm_and_its_margin_are_wider(width, mar
     radius = 0.005 + margin
     path = Curve.line((0, 0, 0), (0.2, 0, 0))
     reference = follow_leader(hinged(), path, 0.2, 0.1)
-    laid = reference.marks[-1].target.curve
+    laid = reference.waypoints[-1].target.curve
     gap = width * radius
     if kind == "hole":
         scene = pipe(laid.trimmed(0.05, 0.15), gap, margin=margin, arm_radius=0.005)
@@ -70,7 +70,7 @@ def test_gaps_are_refused_exactly_if_the_arm_and_its_margin_are_wider(width, mar
 
 def test_an_obstacle_beside_the_path_draws_a_warning_if_the_arm_can_give_way():
     reference, _ = through_a_pipe(0.05)
-    place = reference.marks[-1].target.curve.at(0.1)
+    place = reference.waypoints[-1].target.curve.at(0.1)
     ball = Sphere(tuple(place + (0, 0, 0.0145)), 0.005)
     with pytest.warns(PostureWarning, match=r"ball come within 4\.\d+ mm at .* the margin is 5 mm"):
         require_passage(reference, Scene({"ball": ball}, margin=0.005, arm_radius=0.005), 0.005)

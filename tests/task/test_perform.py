@@ -54,7 +54,7 @@ def test_a_feasible_reference_is_followed_exactly_and_in_time(name: str, acceler
     assert motion.mean_error.max() < 1e-9 * arm.length
     assert off_the_reference(motion, reference).max() < 1e-9 * arm.length
     assert [place.row for place in motion.waypoints] == [0, 300, 600]
-    np.testing.assert_allclose(motion.targets[300], reference.marks[1].target.points, atol=1e-12)
+    np.testing.assert_allclose(motion.targets[300], reference.waypoints[1].target.points, atol=1e-12)
     assert "2 waypoints" not in repr(motion) and "3 waypoints" in repr(motion)
     assert "as long" not in repr(motion)
 
@@ -260,7 +260,7 @@ def test_a_detour_that_is_early_waits_for_its_time() -> None:
 
 def test_a_target_inside_an_obstacle_ends_honestly() -> None:
     reference = swing()
-    tip = reference.marks[1].target.points[-1]
+    tip = reference.waypoints[1].target.points[-1]
     motion = perform(
         reference, "geodesic", SWING, pp.Scene({"ball": pp.Sphere(tuple(tip), 0.1)}, arm_radius=0.006)
     )

@@ -147,7 +147,7 @@ def test_weights_may_change_on_the_way() -> None:
     given = reference_through(arm, stops, 2.0, 51)
     weights = np.array(given.weights)
     weights[20:40, :3] = 0.0
-    reference = Reference(arm, given.interval, given.start, given.offsets, weights, given.marks)
+    reference = Reference(arm, given.interval, given.start, given.offsets, weights, given.waypoints)
     motion = perform(reference, "geodesic", limits_of(arm))
     assert motion.converged and motion.mean_error.max() < 1e-9
     counts = motion.target_mask.sum(axis=1)

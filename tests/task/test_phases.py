@@ -87,9 +87,9 @@ def test_the_example_goes_in_looks_sweeps_and_comes_out_within_limits_and_clear(
 def test_the_plan_is_at_rest_at_every_join() -> None:
     reference, _ = performed()
     speeds = np.abs(np.diff(reference.offsets, axis=0)).max(axis=1) / np.diff(reference.times)
-    for mark in reference.marks:
-        around = speeds[max(mark.row - 1, 0) : mark.row + 1]
-        assert around.max() < 0.03 * speeds.max(), mark.name
+    for waypoint in reference.waypoints:
+        around = speeds[max(waypoint.row - 1, 0) : waypoint.row + 1]
+        assert around.max() < 0.03 * speeds.max(), waypoint.name
     assert reference.duration == pytest.approx(reference.times[-1])
     assert np.abs(np.diff(reference.offsets, axis=0)).max() < 0.08  # no jump
 
@@ -109,18 +109,18 @@ def test_keyframes_begin_where_the_phase_before_ended() -> None:
     bent = np.linspace(0.0, 0.2, fed().nv)
     taught = pp.Keyframe(joints=tuple(bent), duration=2.0, name="taught")
     reference = small(into(), Phase((taught,), "turn"), Phase(Withdrawal(), "out")).reference()
-    marks = {mark.name: reference.configuration(mark.row) for mark in reference.marks}
-    assert marks["turn: taught"] == pytest.approx(bent)
-    assert marks["out: back on the path"] == pytest.approx(marks["in: inside"], abs=1e-9)
-    assert marks["out: outside"] == pytest.approx(reference.start, abs=1e-9)
+    waypoints = {waypoint.name: reference.configuration(waypoint.row) for waypoint in reference.waypoints}
+    assert waypoints["turn: taught"] == pytest.approx(bent)
+    assert waypoints["out: back on the path"] == pytest.approx(waypoints["in: inside"], abs=1e-9)
+    assert waypoints["out: outside"] == pytest.approx(reference.start, abs=1e-9)
 
 
 @pytest.mark.parametrize("aim", [{}, {"direction": (0.0, 0.0, 1.0)}, {"rotation": (0.1, -0.4, 0.5)}])
 def test_the_tip_is_at_its_goal_and_moves_there_straight(aim: dict[str, tuple[float, ...]]) -> None:
     goal = TipGoal((0.95, 0.15, 0.2), duration=4.0, hold=0.5, **aim)  # type: ignore[arg-type]
     reference = small(into(depth=0.2), Phase(goal, "look")).reference()
-    first = reference.marks[0].row
-    last = reference.marks[1].row
+    first = reference.waypoints[0].row
+    last = reference.waypoints[1].row
     tips = np.array([fed().at(reference.configuration(row)).points[-1] for row in range(first, last + 1)])
     assert tips[-1] == pytest.approx(goal.position, abs=1e-5)
     ahead = (tips[-1] - tips[0]) / np.linalg.norm(tips[-1] - tips[0])

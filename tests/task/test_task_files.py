@@ -48,7 +48,9 @@ def test_json_and_toml_say_the_same(tmp_path: Path, text: str) -> None:
     np.testing.assert_array_equal(first.start, second.start)
     np.testing.assert_array_equal(first.offsets, second.offsets)
     np.testing.assert_array_equal(first.weights, second.weights)
-    assert [(mark.name, mark.row) for mark in first.marks] == [(mark.name, mark.row) for mark in second.marks]
+    assert [(waypoint.name, waypoint.row) for waypoint in first.waypoints] == [
+        (waypoint.name, waypoint.row) for waypoint in second.waypoints
+    ]
     one, other = (
         task.surroundings(reference) for task, reference in zip(tasks, (first, second), strict=True)
     )

@@ -72,8 +72,8 @@ def test_the_arm_takes_every_posture(examples: dict[str, Done], name: str) -> No
     task, reference, motion = examples[name]
     assert motion.converged, motion.run.reason
     assert not motion.deviations
-    assert len(motion.waypoints) == len(reference.marks)
-    for place, mark in zip(motion.waypoints, reference.marks, strict=True):
+    assert len(motion.waypoints) == len(reference.waypoints)
+    for place, waypoint in zip(motion.waypoints, reference.waypoints, strict=True):
         # One that is passed through is between two cycles, unless time runs exactly as planned.
         rows = range(max(place.row - 1, 0), min(place.row + 2, motion.steps + 1))
         near = np.array([task.arm.at(motion.q[row]).points for row in rows])
@@ -82,9 +82,9 @@ def test_the_arm_takes_every_posture(examples: dict[str, Done], name: str) -> No
         missed = np.inf
         for before, after in pairwise(near):
             step = after - before
-            left = mark.target.points - before
+            left = waypoint.target.points - before
             share = np.clip((step * left).sum() / max((step**2).sum(), 1e-12), 0.0, 1.0)
-            missed = min(missed, np.abs(before + share * step - mark.target.points).max())
+            missed = min(missed, np.abs(before + share * step - waypoint.target.points).max())
         assert missed < 3e-4 * task.arm.length
 
 
@@ -114,7 +114,7 @@ def test_keyframes_lie_on_the_curves_of_the_file(examples: dict[str, Done]) -> N
     centre = 0.17 * normal / np.linalg.norm(normal)
     np.testing.assert_allclose(np.linalg.norm(ring - centre, axis=1), 0.17, atol=1e-6)
     # The helix (6.17) has the radius 0.06 and the pitch 0.15, so all its chords over a turn are that long.
-    curve = reference.marks[3].target.curve
+    curve = reference.waypoints[3].target.curve
     near = curve.at(np.linspace(0, curve.length, 20_000))
     # The arm passes it within half a cycle of the nearest row.
     assert max(np.linalg.norm(near - point, axis=1).min() for point in helix) < 3e-4
@@ -133,7 +133,7 @@ def test_the_arm_keeps_clear(examples: dict[str, Done]) -> None:
 def test_the_arm_touches_no_wall_of_its_pipe(examples: dict[str, Done]) -> None:
     task, reference, motion = examples["pipe"]
     assert motion.run.clearance.min() > 0
-    path = reference.marks[0].target.curve
+    path = reference.waypoints[0].target.curve
     entry = task.arm.at(reference.start).points[-1]
     near = path.at(np.linspace(0, path.length, 4000))
     for q in motion.q[:: max(1, motion.steps // 5)]:

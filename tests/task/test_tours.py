@@ -61,17 +61,17 @@ def mixed(arm: pp.Arm) -> list[Keyframe]:
 def test_taught_configurations_are_passed_exactly_and_curves_are_taken(arm: pp.Arm, continuity: str) -> None:
     keyframes = mixed(arm)
     reference = keyframe_reference(arm, keyframes, 0.02, continuity)
-    times = [reference.times[mark.row] for mark in reference.marks]
+    times = [reference.times[waypoint.row] for waypoint in reference.waypoints]
     assert np.allclose(times, [0.0, 1.0, 2.5, 3.5, 5.4, 6.4])
-    for mark, keyframe in zip(reference.marks, keyframes, strict=True):
-        q = positions(reference)[mark.row]
+    for waypoint, keyframe in zip(reference.waypoints, keyframes, strict=True):
+        q = positions(reference)[waypoint.row]
         if keyframe.joints is not None:
             assert np.abs(q - keyframe.joints).max() < 1e-12
-            assert mark.target.curve is None
+            assert waypoint.target.curve is None
         else:
-            assert mark.target.residual.max() < 1e-8
-        assert np.allclose(mark.target.points, arm.at(arm.configuration(q)).points, atol=1e-12)
-    held = slice(reference.marks[3].row, reference.marks[3].row + round(0.4 / reference.interval) + 1)
+            assert waypoint.target.residual.max() < 1e-8
+        assert np.allclose(waypoint.target.points, arm.at(arm.configuration(q)).points, atol=1e-12)
+    held = slice(reference.waypoints[3].row, reference.waypoints[3].row + round(0.4 / reference.interval) + 1)
     assert np.ptp(positions(reference)[held], axis=0).max() == 0.0
 
 
@@ -81,7 +81,7 @@ def test_a_mixed_tour_is_continuous_and_rests_where_its_kind_changes(arm: pp.Arm
 
     def measured(interval: float) -> tuple[float, np.ndarray]:
         reference = keyframe_reference(arm, mixed(arm), interval, continuity)
-        rows = [mark.row for mark in reference.marks]
+        rows = [waypoint.row for waypoint in reference.waypoints]
         q = positions(reference)
         step = reference.interval
         speeds = np.abs(q[np.array(rows[1:-1]) + 1] - q[np.array(rows[1:-1]) - 1]).max(axis=1) / (2.0 * step)
@@ -274,10 +274,10 @@ def test_an_open_tour_goes_back_between_its_repetitions(arm: pp.Arm) -> None:
     reference = keyframe_reference(arm, tour, 0.02, repeat=3)
     lap = 1.0 + 1.2 + 0.4 + 0.8
     assert reference.duration == pytest.approx(3 * lap - 0.8)
-    assert [mark.name for mark in reference.marks] == [
+    assert [waypoint.name for waypoint in reference.waypoints] == [
         f"{name}, lap {number}" for number in (1, 2, 3) for name in ("home", "keyframe 2", "there")
     ]
-    times = np.array([reference.times[mark.row] for mark in reference.marks]).reshape(3, 3)
+    times = np.array([reference.times[waypoint.row] for waypoint in reference.waypoints]).reshape(3, 3)
     assert np.allclose(times, np.array([0.0, 1.0, 2.2]) + lap * np.arange(3)[:, None])
     rows = round(lap / reference.interval)
     found = positions(reference)
@@ -309,7 +309,7 @@ def test_a_closed_tour_goes_on_at_once(arm: pp.Arm) -> None:
     ]
     reference = keyframe_reference(arm, tour, 0.02, repeat=2)
     assert reference.duration == pytest.approx(4.0)
-    assert [mark.name for mark in reference.marks] == [
+    assert [waypoint.name for waypoint in reference.waypoints] == [
         "a, lap 1", "keyframe 2, lap 1", "keyframe 3, lap 1", "keyframe 2, lap 2", "keyframe 3, lap 2",
     ]  # fmt: skip
     lap = round(2.0 / reference.interval)
@@ -377,10 +377,10 @@ def test_a_keyframe_limits_the_speed_of_the_motion_to_it(arm: pp.Arm, speed: flo
     assert [place.planned for place in motion.waypoints] == pytest.approx([0.0, 0.6, 1.2, 1.8])
     if speed < 0.3:
         assert f"careful allows {100 * speed:g} % of the velocity limits" in motion.slowdown
-    for place, mark in zip(motion.waypoints, reference.marks, strict=True):
-        nearest = np.abs(motion.q - reference.configuration(mark.row)).max(axis=1).min()
+    for place, waypoint in zip(motion.waypoints, reference.waypoints, strict=True):
+        nearest = np.abs(motion.q - reference.configuration(waypoint.row)).max(axis=1).min()
         assert nearest <= 0.5 * 2.0 * 0.02 + 1e-9  # half a cycle at full speed
-        assert place.speed == mark.speed
+        assert place.speed == waypoint.speed
 
 
 @pytest.mark.parametrize("speeds", [(0.5, 1.0), (1.0, 0.5), (0.7, 0.2)])
@@ -689,10 +689,10 @@ def test_a_repeated_tour_too_fast_for_its_limits_keeps_the_times_asked_for(arm: 
         Keyframe(joints=taught(arm, 3), duration=6.0),
     ]
     reference = keyframe_reference(arm, tour, 0.02, repeat=2, limits=limits)
-    planned = [float(reference.times[mark.row]) for mark in reference.marks]
+    planned = [float(reference.times[waypoint.row]) for waypoint in reference.waypoints]
     assert planned == pytest.approx([0.0, 0.1, 6.16, 12.16, 12.26, 18.32])
-    for mark, keyframe in zip(reference.marks, 2 * tour, strict=True):
-        np.testing.assert_allclose(reference.configuration(mark.row), keyframe.joints, atol=1e-12)
+    for waypoint, keyframe in zip(reference.waypoints, 2 * tour, strict=True):
+        np.testing.assert_allclose(reference.configuration(waypoint.row), keyframe.joints, atol=1e-12)
     motion = perform(reference, "geodesic", limits)
     check_motion(motion, limits)
     assert motion.converged

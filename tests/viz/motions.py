@@ -8,7 +8,7 @@ import numpy as np
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.motion.trajectory import Trajectory, Waypoint
+from pinposture.motion.trajectory import Trajectory, WaypointResult
 
 LIMITS = pp.Limits(step=None, dt=0.05, velocity=2.0, acceleration=30.0)
 
@@ -73,7 +73,7 @@ def some_motion(
     clock[-1] = planned
     rows = np.linspace(start_index, steps, len(names)).round().astype(int)
     passed = [
-        Waypoint(name, float(clock[row]), (int(row) - start_index) * dt, int(row), off)
+        WaypointResult(name, float(clock[row]), (int(row) - start_index) * dt, int(row), off)
         for name, row in zip(names, rows, strict=True)
     ]
     aside = points + off * np.array([0.0, 0.0, 1.0])

@@ -15,7 +15,7 @@ from viz.commands import recorded_commands
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
-from pinposture.motion.trajectory import Trajectory, Waypoint
+from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.viz.body import body_poses
 from pinposture.viz.drawing import REST_BEFORE, arm_tracks, hoop_turns, moving_target_tracks, playback
 from pinposture.viz.meshcat import add_moving_targets
@@ -185,7 +185,7 @@ def test_of_many_places_the_first_the_last_and_some_between_are_shown():
 
 def test_places_that_were_not_reached_are_left_out_and_long_names_keep_both_ends():
     motion = some_motion(names=("the beginning of it all, and the end", "b"))
-    motion = replace(motion, waypoints=(*motion.waypoints, Waypoint("never", 9.0, None, None, None)))
+    motion = replace(motion, waypoints=(*motion.waypoints, WaypointResult("never", 9.0, None, None, None)))
     first, last = shown_places(motion)
     assert first.name.startswith("the begin")
     assert first.name.endswith("the end")

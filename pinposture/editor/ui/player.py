@@ -28,7 +28,7 @@ from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
 from pinposture.editor.ui.parts import Post, on_change, on_choice, put, round_number
 from pinposture.motion import Trajectory
 from pinposture.motion.run import limit_shares
-from pinposture.motion.trajectory import Waypoint
+from pinposture.motion.trajectory import WaypointResult
 from pinposture.task import Task
 from pinposture.units import length_text
 from pinposture.viz import palette
@@ -576,7 +576,7 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     return max(playback.lasting, *(each.place.time for each in drawn)), drawn[:MAX_DRAWN]
 
 
-def _where_reached(motion: Trajectory, each: Pass, place: Waypoint | None, begins: float) -> DrawnPass:
+def _where_reached(motion: Trajectory, each: Pass, place: WaypointResult | None, begins: float) -> DrawnPass:
     """Place a keyframe where the motion reaches it, or behind the end of a motion that ends before it.
 
     Args:
@@ -592,7 +592,7 @@ def _where_reached(motion: Trajectory, each: Pass, place: Waypoint | None, begin
     return DrawnPass(each._replace(time=float(motion.time[-1]) + left), False)
 
 
-def _places_of_phase(task: EditedPhase, motion: Trajectory) -> list[Waypoint]:
+def _places_of_phase(task: EditedPhase, motion: Trajectory) -> list[WaypointResult]:
     """Return the places of the keyframes of a phase in the motion of all phases."""
     least = task.begins + TIME_TOLERANCE * (-1.0 if task.begin is None else 1.0)
     places = [place for place in motion.waypoints if place.planned > least]
@@ -600,6 +600,6 @@ def _places_of_phase(task: EditedPhase, motion: Trajectory) -> list[Waypoint]:
         places = [place for place in places if place.planned <= task.ends + TIME_TOLERANCE][-1:]
     if task.begin is not None:
         row = int(np.searchsorted(motion.plan_time, task.begins))
-        begin = Waypoint("", task.begins, None, row if row <= motion.steps else None, None)
+        begin = WaypointResult("", task.begins, None, row if row <= motion.steps else None, None)
         places.insert(0, begin)
     return places
