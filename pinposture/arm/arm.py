@@ -153,6 +153,7 @@ class Arm(ConfigurationSpace):
         model: pin.Model,
         control_points: Sequence[str],
         base_placement: pin.SE3 | None = None,
+        *,
         urdf: str | None = None,
         report: LoadReport | None = None,
         characteristic_length: float | None = None,
@@ -294,6 +295,7 @@ class Arm(ConfigurationSpace):
         base: str | None = None,
         tip: str | None = None,
         modules: Modules = None,
+        *,
         locked: Mapping[str, float] | None = None,
         package_dirs: Sequence[str | Path] | None = None,
         base_placement: pin.SE3 | None = None,
@@ -385,8 +387,16 @@ class Arm(ConfigurationSpace):
             warn_caller(message)
         if loaded.base_placement is not None and spec.placement is None:
             spec = replace(spec, placement=PlacementSpec.of(loaded.base_placement))
-        parts = (loaded.model, loaded.control_points, loaded.base_placement, loaded.text, loaded.report)
-        return cls(*parts, spec.characteristic_length, spec, spec.weight or NOTHING)
+        return cls(
+            loaded.model,
+            loaded.control_points,
+            loaded.base_placement,
+            urdf=loaded.text,
+            report=loaded.report,
+            characteristic_length=spec.characteristic_length,
+            spec=spec,
+            weight=spec.weight or NOTHING,
+        )
 
     @classmethod
     def from_model(
@@ -453,11 +463,11 @@ class Arm(ConfigurationSpace):
                 model,
                 described["control_points"],
                 placement,
-                urdf,
-                report,
-                described["characteristic_length"],
-                spec,
-                weight,
+                urdf=urdf,
+                report=report,
+                characteristic_length=described["characteristic_length"],
+                spec=spec,
+                weight=weight,
             )
         except PostureError:
             raise
@@ -837,8 +847,16 @@ class Arm(ConfigurationSpace):
         return self._made_again(spec, self.characteristic_length, self.weight)
 
     def _made_again(self, spec: ArmSpec | None, unit: float, weight: Weight) -> Arm:
-        parts = (self._described, self.control_points, self.base_placement, self.urdf, self.report)
-        return Arm(*parts, unit, spec, weight)
+        return Arm(
+            self._described,
+            self.control_points,
+            self.base_placement,
+            urdf=self.urdf,
+            report=self.report,
+            characteristic_length=unit,
+            spec=spec,
+            weight=weight,
+        )
 
     def with_payload(
         self,
