@@ -10,7 +10,7 @@ import ast
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +18,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Annotation
 from matplotlib.ticker import LogFormatterMathtext, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
@@ -197,22 +198,26 @@ def scale_counts(ax: Axes, largest: int) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
+VALUE = "value"
+"""Group of the dots and texts that `mark_value` draws."""
+
+
 def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: float = 0.0) -> None:
     """Annotate the value [m] at the "start" or "end" of a line, or its "least" value.
 
     The last value is in the right margin (above the axis if below its range), the least above its point.
+    `add_title` moves values apart that overlap, because only then everything has its place.
     """
     low, high = ax.get_ylim()
     below = value <= low  # a logarithmic axis cannot show 0
     place = (x, 0.0 if below else value)
     scale = ax.get_xaxis_transform() if below else ax.transData
-    ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale)
+    ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale, gid=VALUE)
     ax.set_ylim(low, high)
     styles = {"start": (7, 4, "left", "bottom"), "least": _beside(ax, place)}
     styles["end"] = (6, 4, "left", "bottom") if below else (6, 0, "left", "center")
     right, up, ha, va = styles[where]
-    taken = [text.get_window_extent().padded(2.0) for text in ax.texts]
-    written = ax.annotate(
+    ax.annotate(
         BELOW_ROUNDING if abs(value) < floor else length_text(value),
         place,
         xycoords=scale,
@@ -224,10 +229,8 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
         color=color,
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         annotation_clip=False,
+        gid=VALUE,
     )
-    while written.get_window_extent().count_overlaps(taken):
-        up += 4
-        written.xyann = right, up
 
 
 def _beside(ax: Axes, place: tuple[float, float]) -> tuple[int, int, str, str]:
@@ -279,9 +282,25 @@ def share_axis(panels: Sequence[Axes]) -> None:
 
 
 def add_title(figure: Figure, sentences: Sequence[str]) -> None:
-    """Write sentences above the panels, each on its own line, wrapped if long."""
+    """Write sentences above the panels, each on its own line, wrapped if long, and move values apart."""
     text = "\n".join(textwrap.fill(sentence, 145) for sentence in sentences)
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=INK, parse_math=False)
+    figure.draw_without_rendering()  # lays it out
+    for ax in figure.axes:
+        _move_values_apart(ax)
+
+
+def _move_values_apart(ax: Axes) -> None:
+    """Move each value up until it overlaps neither a dot nor a value before it."""
+    taken = [dot.get_window_extent() for dot in ax.lines if dot.get_gid() == VALUE]
+    for text in ax.texts:
+        if text.get_gid() != VALUE:
+            continue
+        written = cast(Annotation, text)
+        while written.get_window_extent().count_overlaps(taken):
+            right, up = written.xyann
+            written.xyann = right, up + 4
+        taken.append(written.get_window_extent().padded(2.0))
 
 
 def add_footnote(figure: Figure, *details: str) -> None:

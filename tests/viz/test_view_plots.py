@@ -371,6 +371,19 @@ def test_runs_that_lie_on_each_other_are_all_seen_in_a_comparison():
     assert not any(one.overlaps(two) for k, one in enumerate(labels) for two in labels[:k])
 
 
+def test_a_value_is_moved_away_from_the_dot_of_another():
+    ax = one_panel()
+    ax.set_xlim(0.0, 10.0)
+    for place in (1.0, 2.0, 3.0):  # each in the text of the one before
+        palette.mark_value(ax, place, 0.5, palette.INK, "end")
+    palette.add_title(ax.figure, ["values"])
+    texts = [text.get_window_extent() for text in ax.texts]
+    dots = [line.get_window_extent() for line in ax.lines]
+    assert len(texts) == len(dots) == 3
+    assert not any(text.overlaps(dot) for text in texts for dot in dots)
+    assert not any(one.overlaps(two) for k, one in enumerate(texts) for two in texts[:k])
+
+
 @pytest.mark.long
 def test_a_comparison_draws_a_common_start_once_and_every_end_in_its_colour():
     runs = {"first": run_to(helix(), controller="selection"), "second": some_run()}
