@@ -99,7 +99,7 @@ class Preview:
         return motion
 
 
-class Moment(NamedTuple):
+class MotionSample(NamedTuple):
     """A motion at some time, perhaps between two of its cycles."""
 
     state: ArmState  # where the arm is
@@ -131,7 +131,7 @@ class Playback:
         # The motion was at time `_from` when the clock was at `_since`.
         self._from = 0.0
         self._since = 0.0
-        self._last_moment: tuple[float, Moment] | None = None
+        self._last_sample: tuple[float, MotionSample] | None = None
         self._reported: Task | None = None
 
     @property
@@ -159,18 +159,18 @@ class Playback:
     @property
     def q(self) -> Array | None:
         """The configuration at that moment, (nq,); None while the live arm is shown."""
-        moment = self.moment
-        return None if moment is None else moment.state.q
+        sample = self.sample
+        return None if sample is None else sample.state.q
 
     @property
-    def moment(self) -> Moment | None:
+    def sample(self) -> MotionSample | None:
         """The motion at that moment; None if there is none."""
         if self.motion is None:
             return None
         at = self.time
-        if self._last_moment is None or self._last_moment[0] != at:
-            self._last_moment = at, moment_of(self.motion, at)
-        return self._last_moment[1]
+        if self._last_sample is None or self._last_sample[0] != at:
+            self._last_sample = at, sample_at(self.motion, at)
+        return self._last_sample[1]
 
     def play(self, task: Task) -> None:
         """Play the motion of a task from where it is, or from its beginning if it has ended.
@@ -217,7 +217,7 @@ class Playback:
             self.preview.cancel()
         self.motion = None
         self._task = None
-        self._last_moment = None
+        self._last_sample = None
         self.playing = False
         self.waiting = False
         self._from = 0.0
@@ -265,11 +265,11 @@ class Playback:
 
         The verdict on the shape that is edited stays.
         """
-        moment = self.moment
+        sample = self.sample
         motion = self.motion
-        if moment is None or motion is None or motion.arm is not live.arm:
+        if sample is None or motion is None or motion.arm is not live.arm:
             return live
-        state, target, row = moment
+        state, target, row = sample
         step = np.zeros(motion.arm.nv)
         cycle = min(row, max(motion.steps - 1, 0))
         if motion.steps and self.time < self.lasting:
@@ -296,7 +296,7 @@ class Playback:
         at = self.time
         self.motion = None
         self._task = task
-        self._last_moment = None
+        self._last_sample = None
         self.waiting = True
         self._set_time(at)
         self.compute_preview(task)
@@ -306,7 +306,7 @@ class Playback:
         self._since = self._clock()
 
 
-def moment_of(motion: Trajectory, at: float) -> Moment:
+def sample_at(motion: Trajectory, at: float) -> MotionSample:
     """Return a motion at any time; between two cycles, joints move at constant speed.
 
     Args:
@@ -324,7 +324,7 @@ def moment_of(motion: Trajectory, at: float) -> Moment:
         # Not the targets themselves: straight lines between them would add errors that the motion has not.
         off = (1.0 - share) * off + share * (motion.targets[row + 1] - motion.run.points[row + 1])
     state = arm.at(q)
-    return Moment(state, Target(state.points + off, motion.target_mask[row].astype(np.float64)), row)
+    return MotionSample(state, Target(state.points + off, motion.target_mask[row].astype(np.float64)), row)
 
 
 def _report(motion: Trajectory | None, reason: str) -> tuple[str, str]:

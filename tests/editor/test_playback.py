@@ -13,7 +13,7 @@ from played import Clock, bent_spline, by_hand, done, four_modules, half_line, l
 
 import pinposture as pp
 from pinposture.editor.edits import with_keyframe
-from pinposture.editor.playback import Playback, moment_of
+from pinposture.editor.playback import Playback, sample_at
 from pinposture.editor.session import Session
 from pinposture.task import Keyframe, Task
 
@@ -211,24 +211,24 @@ def test_a_motion_that_converges_tells_how_long_it_is() -> None:
 def test_at_a_cycle_it_is_exactly_the_motion() -> None:
     motion = moved()
     for row in range(motion.steps + 1):
-        moment = moment_of(motion, motion.time[row])
-        np.testing.assert_array_equal(moment.state.q, motion.q[row])
-        np.testing.assert_allclose(moment.target.points, motion.targets[row], atol=1e-15)
+        sample = sample_at(motion, motion.time[row])
+        np.testing.assert_array_equal(sample.state.q, motion.q[row])
+        np.testing.assert_allclose(sample.target.points, motion.targets[row], atol=1e-15)
 
 
 @given(st.floats(0.0, 1.0))
 def test_between_cycles_joints_move_evenly(share: float) -> None:
     motion = moved()
     row = motion.steps // 3
-    moment = moment_of(motion, (row + share) * motion.dt)
+    sample = sample_at(motion, (row + share) * motion.dt)
     wanted = (1.0 - share) * motion.q[row] + share * motion.q[row + 1]  # its joints are hinges: q are angles
-    np.testing.assert_allclose(moment.state.q, wanted, atol=1e-10)
+    np.testing.assert_allclose(sample.state.q, wanted, atol=1e-10)
 
 
 def test_continuous_joints_go_the_short_way_past_pi(endless: pp.Arm) -> None:
     q = np.array([endless.configuration([angle, 0.1, angle, 0.0]) for angle in (3.0, 2.0 * np.pi - 3.0)])
     motion = by_hand(endless, q, np.zeros((2, endless.n_modules, 3)))
-    half = moment_of(motion, 0.05).state.q
+    half = sample_at(motion, 0.05).state.q
     np.testing.assert_allclose(half, endless.configuration([np.pi, 0.1, np.pi, 0.0]), atol=1e-12)
 
 
@@ -238,7 +238,7 @@ def test_errors_between_cycles_are_between_those_of_the_cycles(endless: pp.Arm) 
     off[1, :, 2] = 0.004
     motion = by_hand(endless, q, off)
     for share in (0.0, 0.25, 0.5, 1.0):
-        state, target, _ = moment_of(motion, 0.1 * share)
+        state, target, _ = sample_at(motion, 0.1 * share)
         errors = np.linalg.norm(target.points - state.points, axis=1)
         np.testing.assert_allclose(errors, 0.004 * share, atol=1e-15)
 

@@ -602,7 +602,7 @@ def step_along(
         progress = progress._replace(arrived=True, place=path.end)
         return reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
     if inside and avoidance is None and not objective.has_tasks:
-        # All weights give the same step here, and a step ahead is progress (see `JointPath.stride`).
+        # All weights give the same step here, and a step ahead is progress (see `JointPath.step_along`).
         return CandidateStep(dq, progress.moved_to(place, bounds.travel, hindered and place <= here))
     if progress.timed.profile is None and here < place:
         lag = np.abs(path.offset(here) - path.offset_of(state, here))
@@ -725,12 +725,12 @@ def _next_on_path(
     columns = progress.objective.columns
     units = progress.objective.chain.units
     if timed.profile is None:
-        stride = path.stride(state, here, box.sides)
-        left = stride.left
+        step = path.step_along(state, here, box.sides)
+        left = step.left
         if here >= path.end and tasks is not None:
             rest = _admitted(path, here, tasks, path.offsets[-1] - path.offset_of(state, here))
             left = float(np.abs(rest[columns] / units).max(initial=0.0))
-        return _Proposal(stride.place, left, stride.inside, True, stride.dq)
+        return _Proposal(step.place, left, step.inside, True, step.dq)
     offset = path.offset_of(state, here)
     rest = path.offsets[-1] - offset
     if tasks is not None and (path.end == 1.0 or here >= path.end):

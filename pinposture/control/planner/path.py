@@ -29,7 +29,7 @@ SHORT_MOTION = 0.1
 """Joint motion up to which joint interpolation is direct enough, in `Arm.joint_units`."""
 
 
-class Stride(NamedTuple):
+class PathStep(NamedTuple):
     """A step along a path.
 
     Attributes:
@@ -192,7 +192,7 @@ class JointPath:
         offsets = np.ascontiguousarray(np.minimum(np.maximum(offsets, lowest), highest))
         return replace(self, offsets=offsets)
 
-    def stride(self, state: ChainState, place: float, sides: Array) -> Stride:
+    def step_along(self, state: ChainState, place: float, sides: Array) -> PathStep:
         """Return the step to the farthest place such that the limits admit all places up to it.
 
         Such steps always reach the end. Let L = sum over remaining pieces of max_j |dq_j| / b_j be the length
@@ -219,7 +219,7 @@ class JointPath:
             MAX_STEP,
             dq,
         )
-        return Stride(reached, left, inside, dq)
+        return PathStep(reached, left, inside, dq)
 
 
 # Time-optimal speed along a path with acceleration limits.

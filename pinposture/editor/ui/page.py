@@ -213,11 +213,11 @@ def _within(error: float, arm_length: float) -> str:
 
 def _lap(task: Task, playback: Playback) -> str:
     """Return which lap of a repeated tour is shown, as the end of a phrase."""
-    moment = playback.moment
+    sample = playback.sample
     motion = playback.motion
-    if task.repeat == 1 or moment is None or motion is None:
+    if task.repeat == 1 or sample is None or motion is None:
         return ""
-    lap = int(float(motion.plan_time[moment.row]) / lap_time(task) + TIME_TOLERANCE)
+    lap = int(float(motion.plan_time[sample.row]) / lap_time(task) + TIME_TOLERANCE)
     return f", lap {min(lap + 1, task.repeat)} of {task.repeat}"
 
 

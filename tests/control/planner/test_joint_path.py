@@ -12,7 +12,7 @@ from sampling import examples, seeds
 
 import pinposture as pp
 from pinposture.control.planner.objective import Objective
-from pinposture.control.planner.path import JointPath, Stride
+from pinposture.control.planner.path import JointPath, PathStep
 
 SEEDS = st.integers(0, 2**32 - 1)
 FINE = 4000
@@ -42,12 +42,12 @@ def sampled(path: JointPath, place: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(place, along, joint) for joint in path.offsets.T])
 
 
-def ahead_of(path: JointPath, offset: np.ndarray, place: float, bound: np.ndarray) -> Stride:
+def ahead_of(path: JointPath, offset: np.ndarray, place: float, bound: np.ndarray) -> PathStep:
     """The step from somewhere near the path, with the same limit to either side."""
     arm = path.arm
     state = arm.at(arm.integrate(path.start, offset))
     sides = np.array([-bound, bound])
-    return path.stride(state, place, sides)
+    return path.step_along(state, place, sides)
 
 
 @given(seed=SEEDS)
