@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.arm.weight import load_of
 from pinposture.control.limits import JerkFilter, JointBounds, Limits
 from pinposture.errors import InvalidValue
 
@@ -108,7 +109,8 @@ class RateCheck:
 
     The acceleration is the change of the mean speed between two cycles, divided by the longer of their
     durations; the jerk is six times the third divided difference of the positions. So no motion within the
-    limits is reported, whatever the durations.
+    limits is reported, whatever the durations. The torque is that of the mean speed and acceleration of two
+    steps where they meet, by inverse dynamics.
 
     Args:
         arm: the arm.
@@ -126,16 +128,21 @@ class RateCheck:
         self._acceleration = np.zeros(self._arm.nv)
         self._durations = self._dt, self._dt
 
-    def exceeded(self, dq: Array, duration: float, bounds: JointBounds) -> tuple[str, ...]:
-        """Add a step, and return messages on the limits that it exceeds, of velocity first.
+    def exceeded(
+        self, dq: Array, duration: float, bounds: JointBounds, positions: Array | None = None
+    ) -> tuple[str, ...]:
+        """Add a step, and return messages on the limits that it exceeds, of velocity first and torque last.
 
         Args:
             dq: the step, (nv,) [rad or m].
             duration: that of the cycle [s].
             bounds: the limits of a nominal cycle.
+            positions: joint positions from which the step begins, (nv,) [rad or m]; None: torques are not
+                compared.
         """
         earlier, before = self._durations
         speed = dq / duration
+        mean_speed = 0.5 * (speed + self._speed)
         change = speed - self._speed
         acceleration = change / (0.5 * (duration + before))
         jerk = (acceleration - self._acceleration) / ((earlier + before + duration) / 3.0)
@@ -146,15 +153,23 @@ class RateCheck:
             return ()
         shortest = min(earlier, before, duration)
         words = self._compare("velocity", speed, bounds.bound / bounds.dt, DISPLACEMENT_ROUNDING / shortest)
-        if bounds.acceleration is None:
-            return words
-        most = bounds.acceleration / bounds.dt**2
-        words += self._compare(
-            "acceleration", change / max(before, duration), most, DISPLACEMENT_ROUNDING / shortest**2
-        )
-        if bounds.jerk is not None:
-            most = bounds.jerk / bounds.dt**3
-            words += self._compare("jerk", jerk, most, DISPLACEMENT_ROUNDING / shortest**3)
+        if bounds.acceleration is not None:
+            most = bounds.acceleration / bounds.dt**2
+            words += self._compare(
+                "acceleration", change / max(before, duration), most, DISPLACEMENT_ROUNDING / shortest**2
+            )
+            if bounds.jerk is not None:
+                most = bounds.jerk / bounds.dt**3
+                words += self._compare("jerk", jerk, most, DISPLACEMENT_ROUNDING / shortest**3)
+        if bounds.effort is not None and positions is not None:
+            gentlest = change / max(before, duration)
+            torques = self._arm.dynamics.inverse_dynamics(positions[None], mean_speed[None], gentlest[None])
+            shares = np.abs(torques[0]) / bounds.effort
+            worst = int(shares.argmax())
+            if shares[worst] > 1.0 + RATE_ROUNDING:
+                largest = float(bounds.effort[worst])
+                load = load_of(self._arm.drives[worst], largest * float(shares[worst]), largest)
+                words += (f"torque limit: {load} for this step",)
         return words
 
     def _compare(self, kind: str, rate: Array, most: Array, rounding: float) -> tuple[str, ...]:

@@ -138,8 +138,10 @@ class Tracker:
     If a controller, constraint or task of yours raises an exception, or returns what it should not, the arm
     brakes and holds as well; `report` names it, and the log has the traceback.
 
-    The output keeps all limits, with one exception: where braking within the limits of acceleration and jerk
-    would cause contact with an obstacle, the arm brakes harder, and `report.violated_constraints` says so.
+    The output keeps all limits, with two exceptions, which `report.violated_constraints` names. Where
+    braking within the limits of acceleration and jerk would cause contact with an obstacle, the arm brakes
+    harder. Where a step leaves the timing of a path (braking, evading, a target that moves), its torque can
+    exceed the limit; at rest it does not.
 
     Send `positions` to position-controlled drives. They move by `dq`, and restart from the measured
     configuration only if the arm stays elsewhere (`resync_time`). Smaller errors, for instance because the
@@ -728,7 +730,9 @@ class Tracker:
         relaxed += self._lost_limits(relaxed) + self._lost_clearance() + self._lost_compensation()
         period = cycle_of(self._limits)
         duration = min(max(passed, MIN_CYCLE * period), period)
-        for exceeded in self._rates.exceeded(sent, duration, self._limits.for_arm(self.arm)):
+        bounds = self._limits.for_arm(self.arm)
+        begins = None if self._feedback.positions is None else self._feedback.positions - dq
+        for exceeded in self._rates.exceeded(sent, duration, bounds, begins):
             # Also while the jerk filter spreads such a step over later cycles, or the arm waits for a path.
             harder = self.scene is not None and exceeded.startswith("acceleration")
             text = BRAKING_HARDER if harder else exceeded

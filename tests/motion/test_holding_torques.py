@@ -10,8 +10,9 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.arm import JointLoad
+from pinposture.arm import JointLoad, smooth_configuration
 from pinposture.errors import MotionError
+from pinposture.motion import Tracker
 from pinposture.motion.words import in_words
 
 
@@ -119,3 +120,34 @@ def test_a_batch_counts_the_postures_that_cannot_be_held() -> None:
     found = "the final posture cannot be held in 2 of 2 runs, most in run"
     assert any(fault.startswith(found) for fault in batch.faults)
     assert pp.track_many(weak(1.0), straight_line(arm), starts).faults == ()
+
+
+@pytest.mark.long
+def test_a_tracker_names_each_step_that_needs_more_torque_than_there_is() -> None:
+    """Targets jump at speed, so that steps leave the timing of their paths."""
+    rng = np.random.default_rng(3)
+    arm = template_arm("RyRz", 6).with_effort(0.28)
+    limits = pp.Limits(step=None, velocity=2.0, acceleration=30.0, dt=0.01, effort=True)
+    tracker = Tracker(arm, limits=limits)
+    data = arm.model.createData()
+    q = arm.straight()
+    before = np.zeros(arm.nv)
+    told = []
+    for cycle in range(400):
+        if cycle % 25 == 0:
+            goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.8))
+            tracker.update(pp.Target.from_configuration(arm, goal))
+        dq = tracker.step(q)
+        speed = dq / limits.dt
+        torques = pin.rnea(arm.model, data, q, (before + speed) / 2.0, (speed - before) / limits.dt)
+        share = np.abs(torques / arm.effort).max()
+        words = [each for each in tracker.report.violated_constraints if each.startswith("torque limit")]
+        if abs(share - 1.0) > 1e-5:
+            assert bool(words) == (share > 1.0)
+        for text in words:
+            needed = float(re.search(r"needs ([\d.]+) of 0.28 N m for this step", text)[1])
+            assert needed == pytest.approx(share * 0.28, rel=1e-3)
+        told += words
+        before = speed
+        q = arm.integrate(q, dq)
+    assert 0 < len(told) < 40
