@@ -73,8 +73,7 @@ CEILINGS = {
 MECHANISMS: dict[str, tuple[str, ...]] = {
     "codecs": (
         "arm.serialization",  # a model as plain data
-        "arm.urdf_reader",
-        "arm.urdf_writer",
+        "arm.urdf",
         "collision.files",  # meshes and scans
         "motion.files",  # results: arrays by the names of fields, and the other fields
         "motion.joint_files",  # tables of joints

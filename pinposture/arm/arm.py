@@ -70,7 +70,7 @@ from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.serialization import describe_model, rebuild_model
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
-from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.arm.urdf import is_urdf_text
 from pinposture.arm.weight import (
     EFFORT_REMEDY,
     NOTHING,
@@ -317,7 +317,7 @@ class Arm(ConfigurationSpace):
                 (`pinposture.arm.mjcf`).
             base: first link of the arm; the root if None.
             tip: last link of the arm; if None, the last of the links in `modules`, or the end of the longest
-                moving chain (`pinposture.arm.urdf_reader`).
+                moving chain (`pinposture.arm.description`).
             modules: joints per module, one number for all or one for each module; or names of the links at
                 whose origins modules end. If None, the smallest modules that can follow any curve
                 (`pinposture.arm.segmentation`).

@@ -28,8 +28,9 @@ from pinposture._validation import (
     require_known,
 )
 from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.description import Description
 from pinposture.arm.serialization import describe_model, rebuild_model
-from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, Follows, JointDescription
+from pinposture.arm.urdf import CHAIN_JOINTS, Follows, JointDescription
 from pinposture.errors import InvalidValue, URDFError, enumerated
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from xml.dom.minidom import Document, parseString
 from pinposture._validation import is_number, require_known
 from pinposture.arm.expressions import Expressions
 from pinposture.arm.packages import find_packages, package_folders, package_name
-from pinposture.arm.urdf_reader import is_urdf_text, parse_xml
+from pinposture.arm.urdf import is_urdf_text, parse_xml
 from pinposture.errors import FileError, InvalidValue, PostureError, URDFError
 from pinposture.storage import read_xml
 

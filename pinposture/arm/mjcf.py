@@ -13,6 +13,7 @@ import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -21,19 +22,23 @@ from urllib.parse import quote
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture._validation import LARGEST_NUMBER, entries_beyond
 from pinposture.arm.configurations import NO_LIMIT
-from pinposture.arm.urdf_reader import Description, quote_names, read_description
-from pinposture.arm.urdf_writer import (
-    add_inertia,
-    add_joint,
-    add_motion,
-    add_origin,
+from pinposture.arm.description import Description, read_description
+from pinposture.arm.inertias import RigidBody
+from pinposture.arm.urdf import (
+    Follows,
+    JointDescription,
+    ShapeDescription,
     free_name,
     numbers_text,
+    quote_names,
+    write_inertial,
+    write_joint,
+    write_shape,
 )
 from pinposture.errors import FileError, PostureError, URDFError
 from pinposture.storage import read_xml
@@ -441,11 +446,12 @@ def _write_body(
     _write_inertia(link, model, body)
     _write_shapes(link, compiled, body, meshes)
     if parent != name:
-        fixed = _fix(robot, names, parent, name, at)
+        reason = None
         if model.body_mocapid[body] >= 0:
             what = f"body {name!r} is a mocap body, which is moved from outside"
             advice = f'start at it (base={name!r}, tip=...), or remove mocap="true"'
-            ET.SubElement(fixed, "excluded", reason=f"cannot be on the chain: {what}; {advice}")
+            reason = f"cannot be on the chain: {what}; {advice}"
+        _fix(robot, names, parent, name, at, reason)
 
 
 def _write_joint(
@@ -459,34 +465,40 @@ def _write_joint(
     """Add a joint between two links; ball joints, which URDF has not, as floating joints."""
     model = compiled.model
     name = compiled.names.joints[joint]
+    described = JointDescription.placed(name, "floating", *links, placement)
     if compiled.moves_one_way(joint):
         axis = np.array(model.jnt_axis[joint])
         turns = compiled.turns(joint)
         back = -compiled.reference(joint) * axis
         at_zero = pin.SE3(pin.exp3(back), np.zeros(3)) if turns else pin.SE3(np.eye(3), back)
-        element = add_joint(robot, name, "", *links, placement * at_zero)
         edges = compiled.edges(joint)
         if joint in ties.held:
             edges = (ties.held[joint], ties.held[joint])
-        effort, velocity = _drive_limits(compiled, joint)
-        add_motion(element, axis=axis, turns=turns, edges=edges, effort=effort, velocity=velocity)
         dof = int(model.jnt_dofadr[joint])
-        damping = float(model.dof_damping[dof])
-        friction = float(model.dof_frictionloss[dof])
-        if damping or friction:
-            ET.SubElement(element, "dynamics", damping=repr(damping), friction=repr(friction))
-    else:
-        element = add_joint(robot, name, "floating", *links, placement)
+        described = replace(
+            JointDescription.placed(name, "", *links, placement * at_zero).driven(
+                axis, turns, edges, *_drive_limits(compiled, joint)
+            ),
+            damping=float(model.dof_damping[dof]),
+            friction=float(model.dof_frictionloss[dof]),
+        )
     if joint in ties.follows:
         leader, ratio, offset = ties.follows[joint]
-        numbers = {"multiplier": repr(ratio), "offset": repr(offset)}
-        ET.SubElement(element, "mimic", numbers, joint=compiled.names.joints[leader])
-    if joint in ties.reasons:
-        ET.SubElement(element, "excluded", reason=ties.reasons[joint])
+        described = replace(described, follows=Follows(compiled.names.joints[leader], ratio, offset))
+    write_joint(robot, replace(described, excluded=ties.reasons.get(joint)))
 
 
-def _fix(robot: ET.Element, names: _Names, parent: str, child: str, placement: pin.SE3) -> ET.Element:
-    return add_joint(robot, free_name(f"{child}_fixed", names.taken), "fixed", parent, child, placement)
+def _fix(
+    robot: ET.Element,
+    names: _Names,
+    parent: str,
+    child: str,
+    placement: pin.SE3,
+    excluded: str | None = None,
+) -> None:
+    name = free_name(f"{child}_fixed", names.taken)
+    fixed = JointDescription.placed(name, "fixed", parent, child, placement)
+    write_joint(robot, replace(fixed, excluded=excluded))
 
 
 def _placement(position: Array, quaternion: Array) -> pin.SE3:
@@ -558,7 +570,7 @@ def _write_inertia(link: ET.Element, model: Any, body: int) -> None:
     placement = _placement(model.body_ipos[body], model.body_iquat[body])
     moments = placement.rotation @ np.diag(model.body_inertia[body]) @ placement.rotation.T
     symmetric = (moments + moments.T) / 2.0
-    add_inertia(link, pin.Inertia(float(model.body_mass[body]), placement.translation, symmetric))
+    write_inertial(link, RigidBody(float(model.body_mass[body]), placement.translation, symmetric))
 
 
 # Shapes.
@@ -623,8 +635,9 @@ def _write_mesh(link: ET.Element, kind: str, model: Any, shape: int, file: str) 
     mesh = int(model.geom_dataid[shape])
     placement = _placement(model.geom_pos[shape], model.geom_quat[shape])
     moved = _placement(model.mesh_pos[mesh], model.mesh_quat[mesh])
-    scale = numbers_text(model.mesh_scale[mesh])
-    _add_shape(link, kind, "mesh", placement * moved.inverse(), filename=file, scale=scale)
+    own = placement * moved.inverse()
+    scale = {"scale": model.mesh_scale[mesh]}
+    write_shape(link, kind, ShapeDescription.placed("mesh", scale, own, file))
 
 
 def _write_solid(link: ET.Element, compiled: _Compiled, shape: int) -> None:
@@ -637,7 +650,7 @@ def _write_solid(link: ET.Element, compiled: _Compiled, shape: int) -> None:
     if kind == kinds.mjGEOM_PLANE:  # only fixed bodies have planes
         return
     if kind == kinds.mjGEOM_SPHERE:
-        _add_shape(link, "collision", "sphere", placement, radius=repr(float(size[0])))
+        _add_solid(link, "sphere", placement, radius=float(size[0]))
     elif kind == kinds.mjGEOM_CYLINDER:
         _add_cylinder(link, placement, float(size[0]), float(size[1]))
     elif kind == kinds.mjGEOM_CAPSULE:
@@ -648,11 +661,11 @@ def _write_solid(link: ET.Element, compiled: _Compiled, shape: int) -> None:
         lengthwise = placement * pin.SE3(turn.matrix(), np.zeros(3))
         _add_capsule(link, lengthwise, float(across), float(along - across))
     elif kind == kinds.mjGEOM_BOX:
-        _add_shape(link, "collision", "box", placement, size=numbers_text(2.0 * size))
+        _add_solid(link, "box", placement, size=2.0 * size)
     else:
         bounds = np.array(model.geom_aabb[shape], dtype=np.float64)
         around = placement * pin.SE3(np.eye(3), bounds[:3])
-        _add_shape(link, "collision", "box", around, size=numbers_text(2.0 * bounds[3:]))
+        _add_solid(link, "box", around, size=2.0 * bounds[3:])
 
 
 def _add_capsule(link: ET.Element, placement: pin.SE3, radius: float, half: float) -> None:
@@ -661,17 +674,15 @@ def _add_capsule(link: ET.Element, placement: pin.SE3, radius: float, half: floa
         _add_cylinder(link, placement, radius, half)
     for end in sorted({-half, half}):
         at_end = placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, end]))
-        _add_shape(link, "collision", "sphere", at_end, radius=repr(radius))
+        _add_solid(link, "sphere", at_end, radius=radius)
 
 
 def _add_cylinder(link: ET.Element, placement: pin.SE3, radius: float, half: float) -> None:
-    _add_shape(link, "collision", "cylinder", placement, radius=repr(radius), length=repr(2.0 * half))
+    _add_solid(link, "cylinder", placement, radius=radius, length=2.0 * half)
 
 
-def _add_shape(link: ET.Element, kind: str, tag: str, placement: pin.SE3, **attributes: str) -> None:
-    element = ET.SubElement(link, kind)
-    add_origin(element, placement)
-    ET.SubElement(ET.SubElement(element, "geometry"), tag, attributes)
+def _add_solid(link: ET.Element, kind: str, placement: pin.SE3, **numbers: ArrayLike) -> None:
+    write_shape(link, "collision", ShapeDescription.placed(kind, numbers, placement))
 
 
 # Comparison with MuJoCo.

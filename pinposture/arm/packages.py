@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from pinposture.arm.urdf_reader import parse_xml
+from pinposture.arm.urdf import parse_xml
 from pinposture.errors import PostureError
 from pinposture.storage import read_xml
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pinposture.arm.urdf_reader import Description, JointDescription, SoftLimits, quote_joints
+from pinposture.arm.description import Description
+from pinposture.arm.urdf import JointDescription, SoftLimits, quote_joints
 from pinposture.errors import URDFError
 
 ADVICE = "hard_limits=True (--hard-limits) ignores soft limits"

@@ -12,9 +12,9 @@ import pinocchio as pin
 
 from pinposture.arm.macros import EXTRA, MACROS, expand_macros, one_line, read_arguments
 from pinposture.arm.mjcf import is_mjcf, mjcf_to_urdf
+from pinposture.arm.model_builder import model_to_urdf
 from pinposture.arm.packages import is_file
-from pinposture.arm.urdf_reader import URDF_TEXT, is_urdf_text
-from pinposture.arm.urdf_writer import model_to_urdf
+from pinposture.arm.urdf import URDF_TEXT, is_urdf_text
 from pinposture.errors import FileError, InvalidValue
 from pinposture.storage import read_xml
 

@@ -10,14 +10,13 @@ from typing import Annotated, Any, TypeAlias, cast
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, ValidationInfo, model_validator
 
 from pinposture._validation import is_usable, is_whole, require_whole
 from pinposture.arm.configurations import MOST_MOVING
 from pinposture.arm.macros import read_arguments
 from pinposture.arm.template import JointSpec, ModuleTemplate, template
-from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.arm.urdf import is_urdf_text, roll_pitch_yaw
 from pinposture.arm.weight import Weight
 from pinposture.errors import InvalidValue
 from pinposture.schema import (
@@ -50,9 +49,6 @@ from pinposture.storage import settled
 
 Vector: TypeAlias = tuple[float, float, float]
 
-ANGLE_ROUNDING = 1e-15
-"""Largest error of each entry of a rotation matrix rebuilt from three rounded angles."""
-
 
 @declared()
 class PlacementSpec(Declared):
@@ -74,18 +70,6 @@ class PlacementSpec(Declared):
     def of(cls, placement: pin.SE3) -> PlacementSpec:
         """Describe a placement; its rotation is accurate to 1e-15."""
         return cls(position=placement.translation.tolist(), rotation=roll_pitch_yaw(placement.rotation))
-
-
-def roll_pitch_yaw(rotation: NDArray[np.float64]) -> Vector:
-    """Return the angles of a rotation matrix (3, 3) [rad], with as few digits as needed to reproduce it."""
-    angles = np.asarray(pin.rpy.matrixToRpy(rotation))
-    for digits in range(3, 17):
-        rounded = np.round(angles, digits) + 0.0  # no negative zero
-        if np.abs(pin.rpy.rpyToMatrix(*rounded) - rotation).max() <= ANGLE_ROUNDING:
-            angles = rounded
-            break
-    roll, pitch, yaw = map(float, angles)
-    return roll, pitch, yaw
 
 
 @declared()

@@ -19,11 +19,11 @@ from typing_extensions import Self
 from pinposture._validation import LARGEST_NUMBER, SMALLEST_NUMBER, as_floats, is_whole, require_known
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.couplings import Drive, is_coupled
-from pinposture.arm.inertias import RigidBody, physically_consistent, read_inertials
+from pinposture.arm.inertias import RigidBody, physically_consistent
 from pinposture.arm.kinematics import ON_AXIS, Chain, frame_ids, neutral_placements
 from pinposture.arm.manipulability import chosen_points
 from pinposture.arm.serialization import describe_model, rebuild_model
-from pinposture.arm.urdf_reader import load_text, parse_xml
+from pinposture.arm.urdf import load_text, parse_xml, read_inertials
 from pinposture.errors import InvalidValue, enumerated
 from pinposture.schema import (
     Declared,

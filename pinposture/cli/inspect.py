@@ -198,7 +198,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
     """
     import numpy as np
 
-    from pinposture.arm.urdf_reader import read_description
+    from pinposture.arm.description import read_description
 
     if arm.report is None or arm.urdf is None:
         raise InvalidValue("arm", arm, "one that was loaded from a URDF")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements, without_repeats
-from pinposture.arm.urdf_reader import parse_xml
+from pinposture.arm.urdf import parse_xml, read_shape
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from pinposture.errors import FileError, InvalidValue, enumerated, warn_caller
@@ -116,29 +116,22 @@ def described_bodies(
 def _read_shape(
     collision: Element, frame: pin.SE3, hulls: dict[str, Array | str], package_dirs: tuple[str, ...]
 ) -> Shape:
-    origin = collision.find("origin")
-    pose = {} if origin is None else origin.attrib
-    turn = pin.rpy.rpyToMatrix(*_numbers("origin rpy", pose.get("rpy", "0 0 0"), 3))
-    placement = frame * pin.SE3(turn, np.array(_numbers("origin xyz", pose.get("xyz", "0 0 0"), 3)))
+    described = read_shape(collision)
+    placement = frame * described.placement
+    numbers = described.numbers
     center = tuple(placement.translation)
     rotation = placement.rotation
-    geometry = collision.find("geometry")
-    kind = next(iter(geometry), None) if geometry is not None else None
-    tag = "no geometry" if kind is None else kind.tag
-    if kind is not None and tag == "sphere":
-        return Sphere(center, *_numbers("radius", kind.get("radius", ""), 1))
-    if kind is not None and tag in ("cylinder", "capsule"):
-        (radius,), (length,) = (_numbers(key, kind.get(key, ""), 1) for key in ("radius", "length"))
+    if described.kind == "sphere":
+        return Sphere(center, *numbers["radius"])
+    if described.kind in ("cylinder", "capsule"):
+        (length,) = numbers["length"]
         half = rotation[:, 2] * length / 2.0
         ends = tuple(placement.translation - half), tuple(placement.translation + half)
-        return Cylinder(*ends, radius) if tag == "cylinder" else Capsule(*ends, radius)
-    if kind is not None and tag == "box":
-        x, y, z = _numbers("size", kind.get("size", ""), 3)
+        return (Cylinder if described.kind == "cylinder" else Capsule)(*ends, *numbers["radius"])
+    if described.kind == "box":
+        x, y, z = numbers["size"]
         return Box(center, (x, y, z), rotation)
-    if kind is not None and tag == "mesh":
-        scale = np.array(_numbers("scale", kind.get("scale", "1 1 1"), 3))
-        return Mesh(_hull(kind.get("filename", ""), hulls, package_dirs) * scale, center, rotation)
-    raise InvalidValue("collision geometry", tag, "sphere, cylinder, capsule, box, mesh")
+    return Mesh(_hull(described.file, hulls, package_dirs) * np.array(numbers["scale"]), center, rotation)
 
 
 def _hull(filename: str, hulls: dict[str, Array | str], package_dirs: tuple[str, ...]) -> Array:
@@ -153,16 +146,6 @@ def _hull(filename: str, hulls: dict[str, Array | str], package_dirs: tuple[str,
     if isinstance(known, str):
         raise FileError(filename, known)
     return known
-
-
-def _numbers(name: str, text: str, count: int) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise InvalidValue(name, text, "a finite number" if count == 1 else f"{count} finite numbers")
-    return numbers
 
 
 def _merge_capsules(model: pin.Model, bodies: Sequence[Body]) -> list[Body]:

@@ -25,7 +25,7 @@ from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.arm import arm_of
 from pinposture.arm.kinematics import ON_AXIS, PARALLEL
 from pinposture.arm.manipulability import chosen_points
-from pinposture.arm.specification import roll_pitch_yaw
+from pinposture.arm.urdf import roll_pitch_yaw
 from pinposture.control.controller import OWN, call_own
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target

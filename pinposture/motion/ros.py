@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import is_number, require_positive
 from pinposture.arm import Arm
-from pinposture.arm.urdf_reader import read_description
+from pinposture.arm.description import read_description
 from pinposture.errors import FileError, InvalidValue, did_you_mean
 from pinposture.motion.joint_files import Columns, with_computed_rates
 from pinposture.motion.joint_trajectory import JointTrajectory, check_names

@@ -25,12 +25,11 @@ from pinposture.arm.inertias import (
     DEFAULT_RADIUS,
     RigidBody,
     physically_consistent,
-    read_inertials,
 )
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.mjcf import load_mujoco
 from pinposture.arm.model_builder import build_model
-from pinposture.arm.urdf_reader import load_text, text_for_pinocchio
+from pinposture.arm.urdf import load_text, read_inertials, text_for_pinocchio
 from pinposture.arm.weight import NOTHING, REMEDY, add_masses, effort_limits, scaled
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller

@@ -17,7 +17,7 @@ from pinposture._validation import finite_vector
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.loading import description_text
 from pinposture.arm.specification import MOST_MODULES_IN_FILE
-from pinposture.arm.urdf_reader import load_text
+from pinposture.arm.urdf import load_text
 from pinposture.collision import Scene
 from pinposture.control import CONTROLLERS, Controller, EndEffector, Geodesic, controller_named
 from pinposture.curve import Curve

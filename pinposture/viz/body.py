@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements, without_repeats
-from pinposture.arm.urdf_reader import parse_xml
+from pinposture.arm.urdf import parse_xml
 from pinposture.collision import Mesh, Obstacle, Scan
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives

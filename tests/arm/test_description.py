@@ -13,7 +13,8 @@ import pytest
 from arm.describing import LIMIT, joint, limit, links, one_joint, pinocchio_loads, robot
 
 import pinposture as pp
-from pinposture.arm.urdf_reader import Follows, read_description
+from pinposture.arm.description import read_description
+from pinposture.arm.urdf import Follows
 from pinposture.errors import FileError, PostureWarning, URDFError
 
 

@@ -6,7 +6,7 @@ import pytest
 from arm.describing import links, pinocchio_loads, robot
 from arm.faults import FAULTS
 
-from pinposture.arm.urdf_reader import read_description
+from pinposture.arm.description import read_description
 from pinposture.errors import FileError, InvalidValue, URDFError
 
 

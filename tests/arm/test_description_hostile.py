@@ -10,8 +10,8 @@ from arm.describing import LIMIT, fixed, limit, links, moving, one_joint, pinocc
 from sampling import seeds
 
 import pinposture as pp
+from pinposture.arm.description import Description, read_description
 from pinposture.arm.template import modules_to_urdf, template
-from pinposture.arm.urdf_reader import Description, read_description
 from pinposture.errors import FileError, InvalidValue, PostureError, URDFError
 
 BOMB = "<!DOCTYPE robot [<!ENTITY a 'aaaaaaaaaa'>" + "".join(

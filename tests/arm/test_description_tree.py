@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.arm.urdf_reader import read_description
+from pinposture.arm.description import read_description
 from pinposture.errors import UnknownName, URDFError
 
 # Moving joints j1, j2, j3:  a -j1- b -f1- c -j2- d -f2- e -f3- f,  d -f4- g,  a -j3- h

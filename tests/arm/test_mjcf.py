@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -676,23 +677,20 @@ def test_what_mujoco_rejects_is_refused_with_its_reason(tmp_path: Path, xml: str
 
 
 def test_a_difference_from_mujoco_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = mjcf.add_joint
+    real = mjcf.write_joint
 
-    def moved(robot, name, kind, parent, child, placement):
-        if name == "j2":
-            placement = placement * pin.SE3(np.eye(3), np.array([1e-6, 0.0, 0.0]))
-        return real(robot, name, kind, parent, child, placement)
+    def moved(robot, joint):
+        x, y, z = joint.origin
+        return real(robot, replace(joint, origin=(x + 1e-6, y, z)) if joint.name == "j2" else joint)
 
-    monkeypatch.setattr(mjcf, "add_joint", moved)
+    monkeypatch.setattr(mjcf, "write_joint", moved)
     with pytest.raises(URDFError, match=r"link '.*': would be 0.001 mm and .* from where MuJoCo places it"):
         pp.Arm.load(two_joints())
-    monkeypatch.undo()
-    motion = mjcf.add_motion
 
-    def widened(element, **options):
-        motion(element, **{**options, "edges": (-1.0, 1.0)})
+    def widened(robot, joint):
+        return real(robot, replace(joint, lower=-1.0, upper=1.0))
 
-    monkeypatch.setattr(mjcf, "add_motion", widened)
+    monkeypatch.setattr(mjcf, "write_joint", widened)
     with pytest.raises(URDFError, match=r"joint 'j1': would have limits -1.0 1.0, in MuJoCo -0.87"):
         pp.Arm.load(two_joints())
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.arm.urdf_reader import read_description
+from pinposture.arm.description import read_description
 from pinposture.errors import InvalidValue, PostureWarning, URDFError
 
 HARD = "hard_limits=True (--hard-limits)"

@@ -13,7 +13,7 @@ from test_example_robots import ROBOTS
 
 import pinposture as pp
 from pinposture.arm import sources
-from pinposture.arm.urdf_writer import model_to_urdf
+from pinposture.arm.model_builder import model_to_urdf
 from pinposture.errors import FileError, PostureWarning, URDFError
 
 MJCF = """<mujoco model="two"><compiler angle="radian"/><worldbody>

@@ -151,7 +151,7 @@ def test_a_bad_joint_is_refused_by_name(fields, name):
 def test_an_unknown_type_of_joint_is_refused_with_those_there_are(kind, hint):
     with pytest.raises(UnknownName) as caught:
         JointSpec("x", type=kind)
-    there_are = "there are: revolute, prismatic, continuous"
+    there_are = "there are: revolute, continuous, prismatic"
     assert str(caught.value) == f"no type of joint is called {kind!r}{hint}; {there_are}"
 
 

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from sampling import examples
 from scipy.spatial.transform import Rotation
 
+from pinposture.arm.description import read_description
+from pinposture.arm.inertias import RigidBody
 from pinposture.arm.template import (
     DENSITY,
     JointSpec,
@@ -21,7 +23,17 @@ from pinposture.arm.template import (
     modules_to_urdf,
     template,
 )
-from pinposture.arm.urdf_reader import read_description
+from pinposture.arm.urdf import (
+    Follows,
+    JointDescription,
+    ShapeDescription,
+    read_inertials,
+    read_joint,
+    read_shape,
+    write_inertial,
+    write_joint,
+    write_shape,
+)
 from pinposture.errors import InvalidValue
 
 AXES = st.one_of(
@@ -223,3 +235,91 @@ def test_what_cannot_be_written_is_refused(arguments, name):
     with pytest.raises(InvalidValue) as caught:
         modules_to_urdf(*arguments)
     assert caught.value.name == name
+
+
+VECTORS = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
+EDGES = st.one_of(st.just((-math.inf, math.inf)), st.tuples(st.floats(-3.0, -0.1), st.floats(0.1, 3.0)))
+
+
+@st.composite
+def described_joints(draw):
+    kind = draw(st.sampled_from(["revolute", "prismatic", "continuous"]))
+    axis = draw(st.sampled_from([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.6, 0.8)]))
+    lower, upper = (-math.inf, math.inf) if kind == "continuous" else draw(EDGES)
+    return JointDescription(
+        "joint",
+        kind,
+        "before",
+        "after",
+        origin=draw(VECTORS),
+        rpy=draw(VECTORS),
+        axis=axis,
+        lower=lower,
+        upper=upper,
+        velocity=draw(st.floats(0.0, 9.0)),
+        effort=draw(st.floats(0.0, 9.0)),
+        damping=draw(st.sampled_from([0.0, 0.3])),
+        friction=draw(st.sampled_from([0.0, 0.2])),
+        follows=draw(st.sampled_from([None, Follows("other", -0.5, 0.25)])),
+        excluded=draw(st.sampled_from([None, "for a reason"])),
+    )
+
+
+@given(described_joints())
+@examples(60)
+def test_a_joint_is_read_as_it_was_written_and_as_pinocchio_reads_it(joint):
+    robot = ET.Element("robot", name="one")
+    for link in ("before", "after"):
+        ET.SubElement(robot, "link", name=link)
+    assert read_joint(write_joint(robot, joint), "text") == joint
+    model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
+    place = model.jointPlacements[1]
+    np.testing.assert_allclose(place.translation, joint.origin, atol=1e-15)
+    turned = Rotation.from_euler("xyz", joint.rpy).as_matrix()
+    np.testing.assert_allclose(place.rotation, turned, atol=1e-14)
+    numbers = (model.velocityLimit[0], model.effortLimit[0], model.damping[0], model.upperDryFrictionLimit[0])
+    assert numbers == (joint.velocity, joint.effort, joint.damping, joint.friction)
+    if joint.type != "continuous" and math.isfinite(joint.upper):
+        assert (model.lowerPositionLimit[0], model.upperPositionLimit[0]) == (joint.lower, joint.upper)
+
+
+@pytest.mark.parametrize("edges", [(-math.inf, 2.0), (-2.0, math.inf)])
+def test_one_limit_alone_is_written_with_a_number_that_means_none_for_the_other(edges):
+    one = JointDescription("j", "revolute", "a", "b", lower=edges[0], upper=edges[1], velocity=1.0)
+    read = read_joint(write_joint(ET.Element("robot"), one), "text")
+    assert (read.lower, read.upper) == tuple(np.clip(edges, -1e9, 1e9))
+    assert read.effort == 1e9  # none was given, and URDF needs a number
+
+
+@pytest.mark.parametrize(
+    ("kind", "numbers"),
+    [
+        ("sphere", {"radius": (0.1,)}),
+        ("cylinder", {"radius": (0.1,), "length": (0.3,)}),
+        ("capsule", {"radius": (0.1,), "length": (0.3,)}),
+        ("box", {"size": (0.1, 0.2, 0.3)}),
+        ("mesh", {"scale": (1.0, -1.0, 0.001)}),
+    ],
+)
+@pytest.mark.parametrize("tag", ["visual", "collision"])
+def test_a_shape_is_read_as_it_was_written(kind, numbers, tag):
+    file = "arm.stl" if kind == "mesh" else ""
+    shape = ShapeDescription(kind, numbers, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), file)
+    assert read_shape(write_shape(ET.Element("link"), tag, shape)) == shape
+    place = shape.placement
+    np.testing.assert_allclose(place.rotation, Rotation.from_euler("xyz", shape.rpy).as_matrix(), atol=1e-15)
+    assert tuple(place.translation) == shape.origin
+
+
+def test_masses_are_read_as_they_were_written():
+    rng = np.random.default_rng(0)
+    spread = rng.normal(size=(3, 3))
+    body = RigidBody(2.5, rng.normal(size=3), spread @ spread.T)
+    robot = ET.Element("robot", name="one")
+    link = ET.SubElement(robot, "link", name="body")
+    write_inertial(link, body)
+    text = ET.tostring(robot, encoding="unicode")
+    read = read_inertials(text, "text")["body"]
+    assert read.mass == body.mass
+    np.testing.assert_array_equal(read.center, body.center)
+    np.testing.assert_array_equal(read.inertia, body.inertia)

@@ -14,8 +14,8 @@ import pinocchio as pin
 import pytest
 
 from benchmarks.cases import scenarios
+from pinposture.arm.description import read_description
 from pinposture.arm.template import DENSITY
-from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError
 
 DIRECTORY = Path(__file__).resolve().parents[2] / "urdf"
