@@ -72,7 +72,6 @@ CEILINGS = {
 
 MECHANISMS: dict[str, tuple[str, ...]] = {
     "codecs": (
-        "arm.serialization",  # a model as plain data
         "arm.urdf",
         "collision.files",  # meshes and scans
         "motion.files",  # results: arrays by the names of fields, and the other fields

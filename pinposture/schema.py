@@ -790,9 +790,38 @@ def describe_field(kind: type, name: str) -> str:
     default = _fields(kind)[name]
     if default is None:
         words = words.replace("None: ", "Default: ")
-    elif default is not dataclasses.MISSING and default is not False:
+        words = re.sub(
+            r"[;.] ([^;.])([^;.]*?),? if None\.", lambda at: f". Default: {at[1].lower()}{at[2]}.", words
+        )
+    elif default not in (dataclasses.MISSING, False, (), {}):
         words = f"{words.replace('None: ', 'none: ')} Default: {default}."
     return words[:1].upper() + words[1:]
+
+
+def with_value(part: Declared, place: Sequence[str], value: object, name: str = "", arm: Any = None) -> Any:
+    """Return a part with another value of one of its fields, or of a field of its parts.
+
+    Args:
+        part: the part.
+        place: the field, and those within it.
+        value: plain data, as a file contains it.
+        name: what errors call the part.
+        arm: the arm to which it belongs, if it is known.
+
+    Raises:
+        PostureError: there is no such field, or the value is refused.
+    """
+    key, *rest = place
+    kind = cast(Any, type(part))
+    called = f"{name}.{key}"
+    if key not in _fields(kind):
+        raise UnknownName(f"key of {name}", key, _fields(kind))
+    now = getattr(part, key)
+    if rest and isinstance(now, Declared):
+        return dataclasses.replace(part, **{key: with_value(now, rest, value, called, arm)})
+    for each in reversed(rest):
+        value = {each: value}
+    return dataclasses.replace(part, **{key: read_plain(_hints(kind)[key], value, called, ".", arm)})
 
 
 def as_plain(part: Declared, embed: bool = True) -> Any:

@@ -67,7 +67,7 @@ from pinposture.arm.manipulability import (
 )
 from pinposture.arm.sag import curvature, settle, spring_root, weakest_joint
 from pinposture.arm.segmentation import Segmentation
-from pinposture.arm.serialization import describe_model, rebuild_model
+from pinposture.arm.serialization import ModelData
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf import is_urdf_text
@@ -420,7 +420,7 @@ class Arm(ConfigurationSpace):
             InvalidValue: the frames are not in order along one chain, or a lower limit is above the upper.
         """
         require_instance("model", model, pin.Model, "a pin.Model")
-        own = rebuild_model(describe_model(model))  # as it would be loaded
+        own = ModelData.of(model).build()  # as it would be loaded
         placement = rigid_placement("base_placement", base_placement)
         place_base(own, placement)
         return cls(own, control_points, placement)
@@ -439,7 +439,7 @@ class Arm(ConfigurationSpace):
         if self.weight != NOTHING:
             described.get("spec", {}).pop("weight", None)
             described["weight"] = as_plain(self.weight)
-        described["model"] = describe_model(self._described)
+        described["model"] = as_plain(ModelData.of(self._described))
         return described
 
     @classmethod
@@ -450,7 +450,7 @@ class Arm(ConfigurationSpace):
             PostureError: the data are damaged.
         """
         try:
-            model = rebuild_model(described["model"])
+            model = read_plain(ModelData, described["model"], "model", folder=".").build()
             placement = rigid_placement("base_placement", described["base_placement"])
             report = read_plain(LoadReport | None, described.get("report"), "report")
             urdf = described["urdf"]

@@ -29,7 +29,7 @@ from pinposture._validation import (
 )
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.description import Description
-from pinposture.arm.serialization import describe_model, rebuild_model
+from pinposture.arm.serialization import ModelData
 from pinposture.arm.urdf import CHAIN_JOINTS, Follows, JointDescription
 from pinposture.errors import InvalidValue, URDFError, enumerated
 
@@ -375,7 +375,7 @@ def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
     """
     if coupled.couplings:
         following = {each.joint: (each.leader, each.ratio, each.offset) for each in coupled.couplings}
-        model = rebuild_model(describe_model(model, following))
+        model = ModelData.of(model, following).build()
     for name, allowed in coupled.ranges.items():
         leader = model.joints[model.getJointId(name)]
         if leader.nq == 1:

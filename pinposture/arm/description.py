@@ -291,7 +291,7 @@ def _place_links(description: Description, excluded: frozenset[str]) -> list[_Pl
             if joint.name in excluded:
                 continue
             depth = place.depth + 1
-            if joint.moves and not joint.mimic and joint.type in CHAIN_JOINTS:
+            if joint.moves and joint.follows is None and joint.type in CHAIN_JOINTS:
                 places.append(_Place(joint.child, joint.name, place.joints + 1, origin, identity, depth))
             else:
                 position = place.position + place.rotation @ joint.origin
@@ -319,9 +319,9 @@ def _gripper_joints(description: Description) -> frozenset[str]:
         if _one_behind_the_other(description, group):
             continue
         after = set().union(*(_joints_below(description, named[name].child) for name in group)) - group
-        if all(name not in named or named[name].mimic for name in after):
+        if all(name not in named or named[name].follows is not None for name in after):
             found |= group
-    moving = {name for name, joint in named.items() if not joint.mimic}
+    moving = {name for name, joint in named.items() if joint.follows is None}
     return frozenset() if moving <= found else frozenset(found)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -28,6 +29,20 @@ class RigidBody(NamedTuple):
     mass: float
     center: Array
     inertia: Array
+
+    @classmethod
+    def of(cls, inertia: pin.Inertia) -> RigidBody:
+        """Return an inertia of Pinocchio as a rigid body."""
+        return cls(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
+
+    @property
+    def spatial(self) -> pin.Inertia:
+        """It as an inertia of Pinocchio, unchecked."""
+        inertia = pin.Inertia.Zero()  # the constructor would refuse unphysical ones
+        inertia.mass = self.mass
+        inertia.lever = self.center
+        inertia.inertia = self.inertia
+        return inertia
 
 
 def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:

@@ -382,7 +382,7 @@ def _lock_warnings(
     if still:
         messages.append(_off_chain(description, base, tip, still))
     named = {joint.name: joint for joint in description.joints}
-    led = [joint.name for joint in still if joint.mimic and leading_joint(joint, named).name in free]
+    led = [joint.name for joint in still if joint.follows and leading_joint(joint, named).name in free]
     if led:
         what = "mimic joints on it, but are locked where those are at zero"
         messages.append(f"{quote_joints(led)} off the chain {what}")

@@ -652,7 +652,7 @@ def _write_solid(link: ET.Element, compiled: _Compiled, shape: int) -> None:
     if kind == kinds.mjGEOM_SPHERE:
         _add_solid(link, "sphere", placement, radius=float(size[0]))
     elif kind == kinds.mjGEOM_CYLINDER:
-        _add_cylinder(link, placement, float(size[0]), float(size[1]))
+        _add_solid(link, "cylinder", placement, radius=float(size[0]), length=2.0 * float(size[1]))
     elif kind == kinds.mjGEOM_CAPSULE:
         _add_capsule(link, placement, float(size[0]), float(size[1]))
     elif kind == kinds.mjGEOM_ELLIPSOID:
@@ -671,14 +671,10 @@ def _write_solid(link: ET.Element, compiled: _Compiled, shape: int) -> None:
 def _add_capsule(link: ET.Element, placement: pin.SE3, radius: float, half: float) -> None:
     """Add a capsule along z, as a cylinder with a sphere at each end; readers of URDF know no capsules."""
     if half > 0.0:
-        _add_cylinder(link, placement, radius, half)
+        _add_solid(link, "cylinder", placement, radius=radius, length=2.0 * half)
     for end in sorted({-half, half}):
         at_end = placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, end]))
         _add_solid(link, "sphere", at_end, radius=radius)
-
-
-def _add_cylinder(link: ET.Element, placement: pin.SE3, radius: float, half: float) -> None:
-    _add_solid(link, "cylinder", placement, radius=radius, length=2.0 * half)
 
 
 def _add_solid(link: ET.Element, kind: str, placement: pin.SE3, **numbers: ArrayLike) -> None:

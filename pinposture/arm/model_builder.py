@@ -186,7 +186,7 @@ def _write_joint(
         child = named[joint] if last else free_name(f"{named[joint]}_{number}", taken)
         link = SubElement(robot, "link", name=child)
         if last:
-            write_inertial(link, body_of(model.inertias[joint]))
+            write_inertial(link, RigidBody.of(model.inertias[joint]))
         before = model.jointPlacements[joint] * placement if number == 1 else placement
         called = f"{name}_{number}" if composite else name
         described = JointDescription.placed(called, shape or "", parent, child, before)
@@ -201,7 +201,7 @@ def _write_follower(
 ) -> None:
     """Add a joint that follows another and the link it carries; the limits are those of the leader."""
     link = SubElement(robot, "link", name=named[joint])
-    write_inertial(link, body_of(model.inertias[joint]))
+    write_inertial(link, RigidBody.of(model.inertias[joint]))
     (axis,), (turns,) = joint_axes(model, [joint])
     ends = named[model.parents[joint]], named[joint]
     placed = JointDescription.placed(coupling.joint, "", *ends, model.jointPlacements[joint])
@@ -223,8 +223,3 @@ def _driven(
         edges = (float(model.lowerPositionLimit[q]), float(model.upperPositionLimit[q]))
     effort = float(model.effortLimit[v])
     return described.driven(axis, bool(turns), edges, effort, float(model.velocityLimit[v]))
-
-
-def body_of(inertia: pin.Inertia) -> RigidBody:
-    """Return an inertia of Pinocchio as a rigid body."""
-    return RigidBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))

@@ -1,4 +1,4 @@
-"""A Pinocchio model as plain data, and the model that is built from such data.
+"""A Pinocchio model as declared data, and the model that is built from such data.
 
 Pinocchio's own serialization (4.1) loses what mimic joints follow and checks nothing: a model with mimic
 joints, or damaged data, ends the process later. Here every index, size and number is checked.
@@ -6,18 +6,20 @@ joints, or damaged data, ends the process later. Here every index, size and numb
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_count, as_number, finite_array, require_known
+from pinposture._validation import as_count, as_floats, as_number, finite_array, require_finite, require_known
+from pinposture.arm.inertias import RigidBody
 from pinposture.errors import InvalidValue
+from pinposture.schema import CheckedBy, Declared, Number, Text, WholeNumber, declared, one_of
 
 Array = NDArray[np.float64]
-Described = Mapping[str, Any]
 
 POSITION_VECTORS = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
 """Vectors of a model with an entry for each entry of a configuration."""
@@ -51,126 +53,261 @@ _MOST_MULTIPLES = 20_000
 """Multiples of an axis that are tried; of 2,000 random axes the worst took 1,031."""
 
 
-def describe_model(
-    model: pin.Model, following: Mapping[str, tuple[str, float, float]] | None = None
-) -> dict[str, Any]:
-    """Return a model as JSON-compatible data from which `rebuild_model` builds an equal one.
+def _unit_vector(name: str, value: ArrayLike) -> tuple[float, ...]:
+    vector = finite_array(name, value, (3,))
+    if abs(np.linalg.norm(vector) - 1.0) > 1e-6:
+        raise InvalidValue(name, value, "a unit vector")
+    return tuple(vector.tolist())
 
-    Args:
-        model: the model.
-        following: joints that are to follow others in addition: joint name to the name of an earlier joint, a
-            ratio, and an offset [rad or m]. They lose their degrees of freedom.
 
-    Raises:
-        InvalidValue: a joint of a type that is not known here.
+def _rows(name: str, rows: ArrayLike, columns: int) -> Array:
+    table = as_floats(name, rows, f"rows of {columns} numbers")
+    if not table.size:
+        return np.zeros((0, columns))
+    if table.ndim != 2 or table.shape[1] != columns:
+        raise InvalidValue(f"{name} (shape)", table.shape, f"(n, {columns})")
+    return table
+
+
+def _placements(name: str, rows: ArrayLike) -> Array:
+    table = _rows(name, rows, 12)
+    require_finite(name, table)
+    turns = table.reshape(-1, 3, 4)[:, :, :3]
+    off = np.abs(np.einsum("nij,nkj->nik", turns, turns) - np.eye(3))
+    if np.any(off > 1e-6) or np.any(np.linalg.det(turns) < 0.0):
+        raise InvalidValue(name, turns[int(off.max(axis=(1, 2)).argmax())], "rotations")
+    return table
+
+
+def _vectors(name: str, value: object) -> dict[str, Array]:
+    """Read the vectors of a model, which may be infinite."""
+    names = (*POSITION_VECTORS, *MOTION_VECTORS)
+    if not isinstance(value, Mapping) or set(value) != set(names):
+        raise InvalidValue(name, value, f"vectors named {', '.join(names)}")
+    read = {each: as_floats(each, value[each], "numbers") for each in names}
+    for each, vector in read.items():
+        if vector.ndim != 1 or np.isnan(vector).any():
+            raise InvalidValue(each, vector, "a vector of numbers")
+    return read
+
+
+_Axis = Annotated[tuple[float, ...], CheckedBy(_unit_vector)]
+_Placements = Annotated[Array, CheckedBy(_placements)]
+_Inertias = Annotated[Array, CheckedBy(partial(_rows, columns=10))]
+
+
+@declared(eq=False)
+class JointData(Declared):
+    """A joint of a model, or a part of a composite one.
+
+    Attributes:
+        type: its type as Pinocchio names it, without "JointModel"; that which it has alone if it follows.
+        name: its name; empty for a part.
+        parent: the joint that carries it, by number; 0 for the world.
+        follows: the earlier joint that it follows, a ratio, and an offset [rad or m].
+        axis: unit vector of its axis, (3,), where the type does not say it; likewise the following.
+        axis1: its first axis, (3,).
+        axis2: its second axis, (3,).
+        pitch: of a screw [m/rad].
+        radius_x: half axis of an ellipsoid [m].
+        radius_y: likewise.
+        radius_z: likewise.
+        parts: the joints of a composite one.
+        placements: of these, each in the frame before, (n, 12): the first three rows of a matrix.
     """
-    names = list(model.names)
-    joints = list(model.joints)
-    added = dict(following or {})
-    leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
-    described: list[dict[str, Any]] = []
-    positions: list[int] = []
-    motions: list[int] = []
-    for number in range(1, model.njoints):
-        name = str(names[number])
-        joint = joints[number]
-        if _kind(joint) == MIMIC:
-            own = joint.extract()
-            added[name] = str(leaders[joint.idx_v]), float(own.scaling), float(own.offset)
-        elif name not in added:
-            positions += range(joint.idx_q, joint.idx_q + joint.nq)
-            motions += range(joint.idx_v, joint.idx_v + joint.nv)
-        entry: dict[str, Any] = {"name": name, "parent": int(model.parents[number])}
-        if name in added:
-            entry["follows"] = list(added[name])
-        described.append(entry | _describe_joint(name, joint, added[name][1] if name in added else None))
-    frames = list(model.frames)[1:]
-    vectors = dict.fromkeys(POSITION_VECTORS, positions) | dict.fromkeys(MOTION_VECTORS, motions)
-    return {
-        "name": str(model.name),
-        "gravity": np.asarray(model.gravity.vector).tolist(),
-        "bodies": int(model.nbodies),
-        "joints": described,
-        "joint_placements": [_numbers(each) for each in list(model.jointPlacements)[1:]],
-        "inertias": [_describe_inertia(each) for each in model.inertias],
-        "frames": [
-            [str(each.name), each.type.name, int(each.parentJoint), int(each.parentFrame)] for each in frames
-        ],
-        "frame_placements": [_numbers(each.placement) for each in frames],
-        "frame_inertias": [_describe_inertia(each.inertia) for each in frames],
-        "vectors": {name: np.asarray(getattr(model, name))[kept].tolist() for name, kept in vectors.items()},
-    }
+
+    type: Annotated[str, one_of("type of joint", *_PARAMETERS, COMPOSITE)]
+    name: Text = ""
+    parent: WholeNumber = 0
+    follows: tuple[str, float, float] | None = None
+    axis: _Axis | None = None
+    axis1: _Axis | None = None
+    axis2: _Axis | None = None
+    pitch: Number | None = None
+    radius_x: Number | None = None
+    radius_y: Number | None = None
+    radius_z: Number | None = None
+    parts: tuple[JointData, ...] = ()
+    placements: _Placements | None = None
+
+    @classmethod
+    def of(cls, joint: pin.JointModel, ratio: float | None = None, **about: Any) -> JointData:
+        """Describe a joint; by itself alone if it follows another at a ratio.
+
+        Args:
+            joint: the joint.
+            ratio: its motion relative to that of the joint that it follows; None if it follows none.
+            about: name, parent and follows.
+
+        Raises:
+            InvalidValue: a joint of a type that is not known here.
+        """
+        own = joint.extract()
+        kind = _kind(joint)
+        if kind == COMPOSITE:
+            parts = tuple(cls.of(part) for part in own.joints)
+            placements = _describe_placements(own.jointPlacements)
+            return cls(type=kind, parts=parts, placements=placements, **about)
+        follows_already = kind == MIMIC
+        if follows_already:  # only its text says what it was
+            kind = str(own).partition("Mimicking joint type: JointModel")[2].split("\n")[0]
+        known = [each for each in _PARAMETERS if not (follows_already and "pitch" in _PARAMETERS[each])]
+        if kind not in known:
+            raise InvalidValue(f"type of joint {about['name']!r}", kind, ", ".join(known))
+        parameters: dict[str, Any] = {each: getattr(own, each, None) for each in _PARAMETERS[kind]}
+        if parameters and (ratio is not None or kind == ENDLESS):
+            screw = np.ravel(joint.createData().S)
+            if ratio is not None:
+                screw = _divided(screw if follows_already else ratio * screw, ratio)
+            parameters = {"axis": screw[:3] if kind.startswith("Prismatic") else screw[3:]}
+        return cls(type=kind, **parameters, **about)
+
+    def build(self) -> pin.JointModel:
+        """Build the joint, by itself alone.
+
+        Raises:
+            InvalidValue: a parameter that its type needs is missing.
+        """
+        if self.type == COMPOSITE:
+            whole = pin.JointModelComposite()
+            for part, placement in zip(self.parts, _poses(self.placements), strict=True):
+                whole.addJoint(part.build(), placement)
+            return pin.JointModel(whole)
+        parameters = {name: getattr(self, name) for name in _PARAMETERS[self.type]}
+        for name, value in parameters.items():
+            if value is None:
+                raise InvalidValue(f"{name} of joint {self.name!r}", None, f"that of a joint {self.type}")
+        if self.type == ENDLESS:
+            return _endless_joint(np.array(self.axis))
+        given = [np.array(each) if isinstance(each, tuple) else each for each in parameters.values()]
+        return pin.JointModel(getattr(pin, f"JointModel{self.type}")(*given))
 
 
-def rebuild_model(described: Described) -> pin.Model:
-    """Build the model from the data of `describe_model`.
+@declared(eq=False)
+class ModelData(Declared):
+    """A Pinocchio model as declared data: `ModelData.of(model).build()` is an equal model.
 
-    Raises:
-        InvalidValue: a number, index or name is not possible.
-        KeyError, TypeError, ValueError, RuntimeError: the data are not of that form.
+    Attributes:
+        name: its name.
+        gravity: linear and angular acceleration, (6,) [m/s^2, rad/s^2].
+        bodies: number of bodies, with the world.
+        joints: its joints, without the world.
+        joint_placements: of each joint in the frame of its parent, (n, 12): the first three rows of a matrix.
+        inertias: of the world and each joint, (n + 1, 10): mass, centre of mass, and the upper triangle of
+            the moments about it [kg, m, kg m^2]. Any numbers, as only simulations use them.
+        frames: its frames without the first: name, type, joint, and the frame before, by number.
+        frame_placements: of each frame in that of its joint, (f, 12).
+        frame_inertias: of each frame, (f, 10).
+        vectors: its vectors by name, `POSITION_VECTORS` and `MOTION_VECTORS`.
     """
-    model = pin.Model()
-    model.name = str(described["name"])
-    model.gravity = pin.Motion(finite_array("gravity", described["gravity"], (6,)))
-    joints = described["joints"]
-    frames = described["frames"]
-    places = _placements("joint_placements", described["joint_placements"], len(joints))
-    for number, (entry, placement) in enumerate(zip(joints, places, strict=True), 1):
-        parent = as_count(f"parent of joint {entry['name']!r}", entry["parent"], 0, number - 1)
-        joint = _build_joint(entry)
-        if "follows" in entry:
-            joint = _following(model, joint, *entry["follows"])
-        model.addJoint(parent, joint, placement, str(entry["name"]))
-    for _ in range(1, as_count("bodies", described["bodies"], 1, _MOST_BODIES)):
-        model.appendBodyToJoint(0, pin.Inertia.Zero(), pin.SE3.Identity())  # which counts them
-    for number, inertia in enumerate(_inertias("inertias", described["inertias"], len(joints) + 1)):
-        model.inertias[number] = inertia
-    placed = _placements("frame_placements", described["frame_placements"], len(frames))
-    inertias = _inertias("frame_inertias", described["frame_inertias"], len(frames))
-    for (name, kind, parent, before), placement, inertia in zip(frames, placed, inertias, strict=True):
-        require_known("type of frame", kind, list(pin.FrameType.names))
-        joint = as_count(f"joint of frame {name!r}", parent, 0, len(joints))
-        previous = as_count(f"frame before frame {name!r}", before, 0, len(frames))
-        model.addFrame(
-            pin.Frame(str(name), joint, previous, placement, pin.FrameType.names[kind], inertia), False
+
+    name: Text
+    gravity: Annotated[Array, CheckedBy(partial(finite_array, shape=(6,)))]
+    bodies: Annotated[int, CheckedBy(partial(as_count, low=1, high=_MOST_BODIES))]
+    joints: tuple[JointData, ...]
+    joint_placements: _Placements
+    inertias: _Inertias
+    frames: tuple[tuple[str, str, int, int], ...]
+    frame_placements: _Placements
+    frame_inertias: _Inertias
+    vectors: Annotated[Mapping[str, Array], CheckedBy(_vectors)]
+
+    @classmethod
+    def of(
+        cls, model: pin.Model, following: Mapping[str, tuple[str, float, float]] | None = None
+    ) -> ModelData:
+        """Describe a model.
+
+        Args:
+            model: the model.
+            following: joints that are to follow others in addition: joint name to the name of an earlier
+                joint, a ratio, and an offset [rad or m]. They lose their degrees of freedom.
+
+        Raises:
+            InvalidValue: a joint of a type that is not known here.
+        """
+        names = [str(name) for name in model.names]
+        joints = list(model.joints)
+        added = dict(following or {})
+        leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
+        described: list[JointData] = []
+        positions: list[int] = []
+        motions: list[int] = []
+        for number in range(1, model.njoints):
+            name = names[number]
+            joint = joints[number]
+            if _kind(joint) == MIMIC:
+                own = joint.extract()
+                added[name] = leaders[joint.idx_v], float(own.scaling), float(own.offset)
+            elif name not in added:
+                positions += range(joint.idx_q, joint.idx_q + joint.nq)
+                motions += range(joint.idx_v, joint.idx_v + joint.nv)
+            follows = added.get(name)
+            about = {"name": name, "parent": int(model.parents[number]), "follows": follows}
+            described.append(JointData.of(joint, None if follows is None else follows[1], **about))
+        frames = list(model.frames)[1:]
+        vectors = dict.fromkeys(POSITION_VECTORS, positions) | dict.fromkeys(MOTION_VECTORS, motions)
+        return cls(
+            name=str(model.name),
+            gravity=model.gravity.vector,
+            bodies=int(model.nbodies),
+            joints=tuple(described),
+            joint_placements=_describe_placements(list(model.jointPlacements)[1:]),
+            inertias=_describe_inertias(list(model.inertias)),
+            frames=tuple(
+                (str(each.name), each.type.name, int(each.parentJoint), int(each.parentFrame))
+                for each in frames
+            ),
+            frame_placements=_describe_placements([each.placement for each in frames]),
+            frame_inertias=_describe_inertias([each.inertia for each in frames]),
+            vectors={name: np.asarray(getattr(model, name))[kept] for name, kept in vectors.items()},
         )
-    for name, size in (
-        dict.fromkeys(POSITION_VECTORS, model.nq) | dict.fromkeys(MOTION_VECTORS, model.nv)
-    ).items():
-        vector = np.array(described["vectors"][name], dtype=np.float64)
-        if vector.shape != (size,) or np.isnan(vector).any():
-            raise InvalidValue(name, vector, f"{size} numbers")
-        setattr(model, name, vector)
-    return model
+
+    def build(self) -> pin.Model:
+        """Build the model.
+
+        Raises:
+            InvalidValue: a number, index or name is not possible.
+        """
+        count = len(self.joints)
+        rows = {"joint_placements": count, "inertias": count + 1}
+        rows |= dict.fromkeys(("frame_placements", "frame_inertias"), len(self.frames))
+        for name, needed in rows.items():
+            table = getattr(self, name)
+            if len(table) != needed:
+                raise InvalidValue(f"{name} (shape)", table.shape, f"({needed}, {table.shape[1]})")
+        model = pin.Model()
+        model.name = self.name
+        model.gravity = pin.Motion(self.gravity)
+        for number, (entry, placement) in enumerate(
+            zip(self.joints, _poses(self.joint_placements), strict=True), 1
+        ):
+            parent = as_count(f"parent of joint {entry.name!r}", entry.parent, 0, number - 1)
+            joint = entry.build()
+            if entry.follows is not None:
+                joint = _following(model, joint, *entry.follows)
+            model.addJoint(parent, joint, placement, entry.name)
+        for _ in range(1, self.bodies):
+            model.appendBodyToJoint(0, pin.Inertia.Zero(), pin.SE3.Identity())  # which counts them
+        for number, row in enumerate(self.inertias):
+            model.inertias[number] = _inertia(row)
+        frames = zip(self.frames, _poses(self.frame_placements), self.frame_inertias, strict=True)
+        for (name, kind, parent, before), placement, row in frames:
+            require_known("type of frame", kind, list(pin.FrameType.names))
+            joint = as_count(f"joint of frame {name!r}", parent, 0, count)
+            previous = as_count(f"frame before frame {name!r}", before, 0, len(self.frames))
+            frame = pin.Frame(name, joint, previous, placement, pin.FrameType.names[kind], _inertia(row))
+            model.addFrame(frame, False)
+        sizes = dict.fromkeys(POSITION_VECTORS, model.nq) | dict.fromkeys(MOTION_VECTORS, model.nv)
+        for name, vector in self.vectors.items():
+            if vector.shape != (sizes[name],):
+                raise InvalidValue(name, vector, f"{sizes[name]} numbers")
+            setattr(model, name, vector)
+        return model
 
 
 def _kind(joint: Any) -> str:
     return str(joint.shortname()).removeprefix("JointModel")
-
-
-def _describe_joint(name: str, joint: pin.JointModel, ratio: float | None) -> dict[str, Any]:
-    """Return the type of a joint and its parameters; those without its ratio if it follows another."""
-    own = joint.extract()
-    kind = _kind(joint)
-    if kind == COMPOSITE:
-        return {
-            "type": kind,
-            "parts": [_describe_joint(name, part, None) for part in own.joints],
-            "placements": [_numbers(placement) for placement in own.jointPlacements],
-        }
-    follows_already = kind == MIMIC
-    if follows_already:  # only its text says what it was
-        kind = str(own).partition("Mimicking joint type: JointModel")[2].split("\n")[0]
-    known = [each for each in _PARAMETERS if not (follows_already and "pitch" in _PARAMETERS[each])]
-    if kind not in known:
-        raise InvalidValue(f"type of joint {name!r}", kind, ", ".join(known))
-    parameters = {each: getattr(own, each, None) for each in _PARAMETERS[kind]}
-    if parameters and (ratio is not None or kind == ENDLESS):
-        screw = np.ravel(joint.createData().S)
-        if ratio is not None:
-            screw = _divided(screw if follows_already else ratio * screw, ratio)
-        parameters = {"axis": screw[:3] if kind.startswith("Prismatic") else screw[3:]}
-    return {"type": kind, **{each: np.asarray(value).tolist() for each, value in parameters.items()}}
 
 
 def _divided(products: Array, ratio: float) -> Array:
@@ -189,27 +326,6 @@ def _divided(products: Array, ratio: float) -> Array:
         for near in (above, below):
             found = np.where((ratio * found != products) & (ratio * near == products), near, found)
     return np.asarray(found)
-
-
-def _build_joint(entry: Described) -> pin.JointModel:
-    kind = entry["type"]
-    if kind == COMPOSITE:
-        whole = pin.JointModelComposite()
-        places = _placements("placements", entry["placements"], len(entry["parts"]))
-        for part, placement in zip(entry["parts"], places, strict=True):
-            whole.addJoint(_build_joint(part), placement)
-        return pin.JointModel(whole)
-    require_known("type of joint", kind, _PARAMETERS)
-    parameters: list[Any] = []
-    for name in _PARAMETERS[kind]:
-        vector = name.startswith("axis")
-        value = finite_array(name, entry[name], (3,) if vector else ())
-        if vector and abs(np.linalg.norm(value) - 1.0) > 1e-6:
-            raise InvalidValue(name, entry[name], "a unit vector")
-        parameters.append(value if vector else float(value))
-    if kind == ENDLESS:
-        return _endless_joint(parameters[0])
-    return pin.JointModel(getattr(pin, f"JointModel{kind}")(*parameters))
 
 
 def _endless_joint(axis: Array) -> pin.JointModel:
@@ -247,41 +363,24 @@ def _following(
     return pin.JointModelMimic(joint, scaling, shift)
 
 
-def _numbers(placement: pin.SE3) -> list[float]:
-    """Return the first three rows of a homogeneous matrix, twelve numbers."""
-    flat: list[float] = np.asarray(placement.homogeneous)[:3].ravel().tolist()
-    return flat
+def _describe_placements(placements: Sequence[pin.SE3]) -> Array:
+    """Return the first three rows of the homogeneous matrix of each, (n, 12)."""
+    matrices = [np.asarray(each.homogeneous)[:3].ravel() for each in placements]
+    return np.array(matrices).reshape(-1, 12)
 
 
-def _placements(name: str, rows: ArrayLike, count: int) -> list[pin.SE3]:
-    matrices = np.zeros((count, 3, 4))
-    if count:
-        matrices[:] = finite_array(name, rows, (count, 12)).reshape(count, 3, 4)
-    turns = matrices[:, :, :3]
-    off = np.abs(np.einsum("nij,nkj->nik", turns, turns) - np.eye(3))
-    if np.any(off > 1e-6) or np.any(np.linalg.det(turns) < 0.0):
-        raise InvalidValue(name, turns[int(off.max(axis=(1, 2)).argmax())], "rotations")
-    return [pin.SE3(each[:, :3], each[:, 3]) for each in matrices]
+def _poses(rows: Array | None) -> list[pin.SE3]:
+    return [] if rows is None else [pin.SE3(each[:, :3], each[:, 3]) for each in rows.reshape(-1, 3, 4)]
 
 
-def _describe_inertia(inertia: pin.Inertia) -> list[float]:
-    """Return mass, centre of mass, and the upper triangle of the inertia about it, ten numbers."""
-    moments = np.asarray(inertia.inertia)[np.triu_indices(3)]
-    return [float(inertia.mass), *np.asarray(inertia.lever).tolist(), *moments.tolist()]
+def _describe_inertias(inertias: Sequence[pin.Inertia]) -> Array:
+    """Return mass, centre of mass, and the upper triangle of the moments about it of each, (n, 10)."""
+    bodies = [RigidBody.of(each) for each in inertias]
+    upper = np.triu_indices(3)
+    return np.array([[each.mass, *each.center, *each.inertia[upper]] for each in bodies]).reshape(-1, 10)
 
 
-def _inertias(name: str, rows: ArrayLike, count: int) -> list[pin.Inertia]:
-    """Return inertias, which descriptions may give as any numbers, and which only simulations use."""
-    table = np.array(rows, dtype=np.float64).reshape(-1, 10)
-    if len(table) != count:
-        raise InvalidValue(f"{name} (shape)", table.shape, f"({count}, 10)")
-    inertias = []
-    for row in table:
-        moments = np.zeros((3, 3))
-        moments[np.triu_indices(3)] = row[4:]
-        inertia = pin.Inertia.Zero()  # the constructor would refuse unphysical ones
-        inertia.mass = float(row[0])
-        inertia.lever = row[1:4]
-        inertia.inertia = moments + np.triu(moments, 1).T
-        inertias.append(inertia)
-    return inertias
+def _inertia(row: Array) -> pin.Inertia:
+    moments = np.zeros((3, 3))
+    moments[np.triu_indices(3)] = row[4:]
+    return RigidBody(float(row[0]), row[1:4], moments + np.triu(moments, 1).T).spatial

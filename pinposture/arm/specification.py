@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import field, fields
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -46,8 +46,6 @@ from pinposture.schema import (
     refusing,
 )
 from pinposture.storage import settled
-
-Vector: TypeAlias = tuple[float, float, float]
 
 
 @declared()
@@ -196,14 +194,17 @@ class ArmSpec(Declared):
         joint_limits: smallest and largest position of each revolute joint [rad]; the template's own if None.
         feed: a slide before the first module; none if None.
         urdf: a URDF file, or its text.
-        base: first link of the arm; the root if None.
-        tip: last link of the arm, as in `Arm.load`.
-        split: how the chain is split into modules, as `modules` in `Arm.load`.
-        locked: locked joints and their positions [rad or m].
-        package_dirs: folders in which viewers look for meshes, and xacro for packages.
-        couplings: joints that follow others, as in `Arm.load`.
-        xacro_args: values of xacro arguments, as text.
-        hard_limits: whether soft limits are ignored, as in `Arm.load`.
+        base: first link of the arm, which needs a tip; the root if None.
+        tip: last link of the arm; the end of the longest moving chain if None.
+        split: joints per module, one number for all or one for each, or names of the links at whose origins
+            modules end; as few joints as can follow any curve if None.
+        locked: joints to lock, and their positions [rad or m].
+        package_dirs: folders in which viewers look for meshes, and xacro for packages (`$(find ...)`).
+        couplings: joints that follow others, as <mimic> says it: the leader; or the leader, a ratio, and an
+            offset [rad or m].
+        xacro_args: values of the arguments of a xacro source.
+        hard_limits: whether to ignore the soft position limits of <safety_controller>, which otherwise narrow
+            those of <limit>.
         placement: placement of the base in the world; the origin if None.
         characteristic_length: sliding distance equivalent to one radian [m]; the mean module length if None.
         weight: what it carries, its torque limits and gravity, where the description does not say.

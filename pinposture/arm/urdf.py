@@ -154,11 +154,6 @@ class JointDescription:
         )
 
     @cached_property
-    def mimic(self) -> bool:
-        """True if it follows another joint."""
-        return self.follows is not None
-
-    @cached_property
     def moves(self) -> bool:
         """False if it is fixed, or if its limits allow a single position."""
         return self.lower < self.upper

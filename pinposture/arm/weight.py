@@ -22,7 +22,7 @@ from pinposture.arm.couplings import Drive, is_coupled
 from pinposture.arm.inertias import RigidBody, physically_consistent
 from pinposture.arm.kinematics import ON_AXIS, Chain, frame_ids, neutral_placements
 from pinposture.arm.manipulability import chosen_points
-from pinposture.arm.serialization import describe_model, rebuild_model
+from pinposture.arm.serialization import ModelData
 from pinposture.arm.urdf import load_text, parse_xml, read_inertials
 from pinposture.errors import InvalidValue, enumerated
 from pinposture.schema import (
@@ -190,7 +190,7 @@ class Weight(Declared):
         payloads: what the arm carries.
         cables: masses that are distributed along the arm.
         density: density of the shapes from which `masses` were computed [kg/m^3]; None: from none.
-        effort: largest torque or force of each drive [N m or N]: one number, or numbers by name of the joint;
+        effort: largest torque or force of each drive [N m or N], one number, or numbers by name of the joint;
             that of the description if None.
         stiffness: torque or force per displacement of each drive from its command [N m/rad or N/m]: one
             number, or numbers by name of the joint; or that of all degrees of freedom, (nv, nv), where
@@ -245,7 +245,7 @@ def added_masses(
             raise InvalidValue("frame", name, "a frame that a joint of the arm moves")
         link = name if frame.type == pin.FrameType.BODY else None
         joint = str(model.names[frame.parentJoint])
-        added.append(Added(link, joint, frame.placement, spatial_inertia(load.body())))
+        added.append(Added(link, joint, frame.placement, load.body().spatial))
     for cable in weight.cables:
         added.extend(_along_chain(cable, model, chain, control_points))
     return tuple(added)
@@ -260,15 +260,6 @@ def find_frame(model: pin.Model, name: str) -> pin.Frame:
     if not model.existFrame(name) and model.existJointName(name):
         return pin.Frame(name, model.getJointId(name), pin.SE3.Identity(), pin.FrameType.JOINT)
     return model.frames[frame_ids(model, [name])[0]]
-
-
-def spatial_inertia(body: RigidBody) -> pin.Inertia:
-    """Return the inertia of a body as Pinocchio's, unchecked."""
-    inertia = pin.Inertia.Zero()  # the constructor would refuse unphysical ones
-    inertia.mass = body.mass
-    inertia.lever = body.center
-    inertia.inertia = body.inertia
-    return inertia
 
 
 def _along_chain(cable: Cable, model: pin.Model, chain: Chain, control_points: Sequence[str]) -> list[Added]:
@@ -292,7 +283,7 @@ def _along_chain(cable: Cable, model: pin.Model, chain: Chain, control_points: S
             nodes.append(chain.origins[u + 1])
         joint = model.getJointId(chain.joints[u])
         for one, other in pairwise(placements[joint].actInv(node) for node in nodes):
-            rod = spatial_inertia(rod_body(cable.mass_per_length, one, other))
+            rod = rod_body(cable.mass_per_length, one, other).spatial
             added.append(Added(None, chain.joints[u], pin.SE3.Identity(), rod))
     return added
 
@@ -310,7 +301,7 @@ def weighted_model(model: pin.Model, weight: Weight, added: Sequence[Added]) -> 
     """Return a model with a weight; the same model if it adds nothing."""
     if not added and weight.gravity is None:
         return model
-    made = rebuild_model(describe_model(model))
+    made = ModelData.of(model).build()
     add_masses(made, added)
     if weight.gravity is not None:
         made.gravity = pin.Motion(np.array(weight.gravity), np.zeros(3))
@@ -499,7 +490,7 @@ def check_masses(model: pin.Model, urdf: str | None, length: float) -> list[str]
     else:
         bodies = {}
         for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
-            body = RigidBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
+            body = RigidBody.of(inertia)
             if not 0.0 <= body.mass < np.inf or not np.all(np.isfinite(body.center)):
                 given = body.mass, *body.center.tolist()
                 allowed = "a finite mass, 0 or more [kg], and a finite centre of mass"

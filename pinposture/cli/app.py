@@ -96,7 +96,7 @@ def _with_registered_names(written: str | None, options: Mapping[str | None, str
     """Return a help text with the names that are registered, and the words of declared classes."""
     if written is not None:
         described = partial(_described_field, options=options)
-        written = re.sub(r"\{(\w+)\.(\w+)\.(\w+)\}", described, written)
+        written = re.sub(r"\{([\w.]+)\.(\w+)\.(\w+)\}", described, written)
     for mark, (home, attribute) in REGISTERED.items():
         if written is not None and mark in written:
             found = getattr(import_module(home), attribute)

@@ -88,9 +88,11 @@ def run(
     output = output_options.output
     if output_options.ends_only and output is None:
         raise InvalidValue("--ends-only", output_options.ends_only, "only with --output")
-    arm = arm_options.read(urdf)
-    limits = track_options.limit_options.read(arm)
-    surroundings = track_options.scene_options.read(arm)
+    change_options = track_options.change_options
+    change_options.check("arm", "limits", "scene")
+    arm = change_options.apply("arm", arm_options.read(urdf))
+    limits = change_options.apply("limits", track_options.limit_options.read(arm), arm)
+    surroundings = change_options.apply("scene", track_options.scene_options.read(arm))
     configurations = starts_options.read(arm, surroundings)
     targets = [track_options.placement_options.place(arm, each, surroundings) for each in curve]
     check_directory(output)

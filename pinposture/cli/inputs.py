@@ -82,66 +82,28 @@ RunArgument = Annotated[
 class ArmOptions:
     """The part of a description that is the arm, and its division into modules."""
 
-    base: Annotated[str | None, ARM("Link at which the arm begins; needs --tip.", "LINK")] = None
-    tip: Annotated[str | None, ARM("Link at which it ends, if not the end of the longest chain.", "LINK")] = (
-        None
-    )
-    modules: Annotated[
-        str | None,
-        ARM(
-            "Joints per module, one number for all or one for each, or links at whose origins modules "
-            "end: m01_l2,m02_l2. Default: as few joints as can follow a curve.",
-            "N,...",
-        ),
-    ] = None
+    base: Annotated[str | None, ARM("{arm.ArmSpec.base}", "LINK")] = None
+    tip: Annotated[str | None, ARM("{arm.ArmSpec.tip}", "LINK")] = None
+    modules: Annotated[str | None, ARM("{arm.ArmSpec.split}", "N,...")] = None
     locked: Annotated[
-        list[str] | None,
-        ARM(
-            "Lock a joint at a position in rad or metres, or with a unit: elbow=0.5, elbow=30deg. "
-            "May be repeated.",
-            "NAME=VALUE",
-        ),
+        list[str] | None, ARM("{arm.ArmSpec.locked} elbow=0.5, elbow=30deg. May be repeated.", "NAME=VALUE")
     ] = None
     couple: Annotated[
         list[str] | None,
         ARM(
-            "Let a joint follow another, as <mimic> does: j3=j1, j4=j2,-0.5,5deg. May be repeated.",
+            "{arm.ArmSpec.couplings} j3=j1, j4=j2,-0.5,5deg. May be repeated.",
             "NAME=LEADER[,RATIO[,OFFSET]]",
         ),
     ] = None
-    package_dir: Annotated[
-        list[Path] | None,
-        ARM(
-            "Folder to search for meshes, and for $(find ...) of xacro: a package or a folder of packages. "
-            "May be repeated.",
-            "DIR",
-        ),
-    ] = None
+    package_dir: Annotated[list[Path] | None, ARM("{arm.ArmSpec.package_dirs} May be repeated.", "DIR")] = (
+        None
+    )
     xacro_arg: Annotated[
-        list[str] | None,
-        ARM("Value of an argument of a xacro file: pitch:=0.2. May be repeated.", "NAME:=VALUE"),
+        list[str] | None, ARM("{arm.ArmSpec.xacro_args} pitch:=0.2. May be repeated.", "NAME:=VALUE")
     ] = None
-    hard_limits: Annotated[
-        bool,
-        ARM(
-            "Ignore the soft position limits of <safety_controller>, inside of those of <limit>.",
-            flags="--hard-limits",
-        ),
-    ] = False
-    effort: Annotated[
-        str | None,
-        ARM(
-            "Largest torque or force of every drive, in N m or N; default: that of the description.", "TORQUE"
-        ),
-    ] = None
-    stiffness: Annotated[
-        str | None,
-        ARM(
-            "Torque or force of every drive per displacement from its command, in N m/rad or N/m: the arm "
-            "sags.",
-            "STIFFNESS",
-        ),
-    ] = None
+    hard_limits: Annotated[bool, ARM("{arm.ArmSpec.hard_limits}", flags="--hard-limits")] = False
+    effort: Annotated[str | None, ARM("{arm.weight.Weight.effort}", "TORQUE")] = None
+    stiffness: Annotated[str | None, ARM("{arm.weight.Weight.stiffness}", "STIFFNESS")] = None
     payload: Annotated[
         list[str] | None,
         ARM(
@@ -270,6 +232,52 @@ def read_changes(given: list[str] | None) -> dict[str, object]:
         except ValueError:  # text without quotes, such as 20 ms
             changes[key] = value
     return changes
+
+
+@dataclass(frozen=True)
+class ChangeOptions:
+    """Values of what has no option of its own."""
+
+    changes: Annotated[
+        list[str] | None,
+        MOTION(
+            "Value of a field that has no option of its own, with a unit or without: limits.effort=true, "
+            "scene.margin=5mm, arm.weight.gravity=[0,0,-3.7]. May be repeated.",
+            "KEY=VALUE",
+            flags="--set",
+        ),
+    ] = None
+
+    def check(self, *parts: str) -> None:
+        """Raise an error for a key that is not of these parts, or text that is not KEY=VALUE."""
+        for key in read_changes(self.changes):
+            part, dot, _ = key.partition(".")
+            if part not in parts or not dot:
+                raise UnknownName("key for --set", key, [f"{each}.FIELD" for each in parts])
+
+    def apply(self, part: str, to: Any, arm: Arm | None = None) -> Any:
+        """Return a part with the values that are set of it.
+
+        Args:
+            part: "arm", "limits" or "scene".
+            to: the part.
+            arm: the arm to which it belongs, if it is known.
+
+        Raises:
+            UnknownName: a field that there is not.
+            InvalidValue: a value that is refused.
+        """
+        from pinposture.arm import Arm
+        from pinposture.schema import with_value
+
+        changed: Any = to.spec if isinstance(to, Arm) else to
+        places = [key.split(".") for key in read_changes(self.changes)]
+        for (first, *place), value in zip(places, read_changes(self.changes).values(), strict=True):
+            if first == part:
+                changed = with_value(changed, place, value, f"--set {part}", arm)
+        if not any(first == part for first, *_ in places):
+            return to
+        return Arm.from_spec(changed) if isinstance(to, Arm) else changed
 
 
 def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
@@ -643,23 +651,9 @@ class PlacementOptions:
     """The scale and placement of a curve, and the control points that follow it."""
 
     scale: ScaleOption = 1.0
-    placement: Annotated[
-        str | None,
-        TARGET(
-            "How the curve is placed: as_is, translate (to the base) or align (also rotated to the arm). "
-            "Default: as_is for a file with obstacles, otherwise align.",
-            "NAME",
-        ),
-    ] = None
+    placement: Annotated[str | None, TARGET("{task.Keyframe.placement}", "NAME")] = None
     roll: Annotated[str | None, TARGET("{task.Keyframe.roll}", "ANGLE")] = None
-    method: Annotated[
-        str,
-        TARGET(
-            "How modules are placed: sequential (one by one, exactly), smooth (all at once, with little "
-            "bending), closest (all at once), or auto.",
-            "NAME",
-        ),
-    ] = "auto"
+    method: Annotated[str | None, TARGET("{task.Keyframe.method}", "NAME")] = None
     partial: Annotated[
         bool, TARGET("Leave points free that have no place on the curve.", flags="--partial")
     ] = False
@@ -750,3 +744,4 @@ class TrackOptions:
     ] = None
     limit_options: LimitOptions
     scene_options: SceneOptions
+    change_options: ChangeOptions

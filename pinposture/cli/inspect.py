@@ -12,6 +12,7 @@ from pinposture.cli.inputs import (
     OUTPUT,
     TARGET,
     ArmOptions,
+    ChangeOptions,
     JsonOption,
     ScaleOption,
     SceneOptions,
@@ -45,18 +46,8 @@ def run(
     arm_options: ArmOptions,
     curve_options: CurveOptions,
     scene_options: SceneOptions,
-    plot: Annotated[
-        Path | None, OUTPUT("Save a PNG picture of modules, joint axes and control points here.", "FILE")
-    ] = None,
-    ellipsoids: Annotated[
-        str | None,
-        OUTPUT(
-            "Show how near a singularity these control points are, counted from 1 at the base, instead "
-            "of the tip; with --plot, draw their manipulability ellipsoids.",
-            "N,...|all",
-        ),
-    ] = None,
-    as_json: JsonOption = False,
+    change_options: ChangeOptions,
+    output_options: InspectOutput,
 ) -> None:
     """Show how the library interprets a robot description.
 
@@ -77,11 +68,14 @@ def run(
     With --scene it also shows the obstacles of the file, the bodies of the arm, and what is nearest to each;
     with --self-collision, distances of the arm from itself count. The help of track describes scene files.
     """
+    plot = output_options.plot
+    ellipsoids = output_options.ellipsoids
     curve = curve_options.curve
     scale = curve_options.scale
     if curve is None and scale != 1.0:
         raise InvalidValue("--scale", scale, "only with --curve")
-    arm = arm_options.read(urdf)
+    change_options.check("arm")
+    arm = change_options.apply("arm", arm_options.read(urdf))
     unasked = scene_options.scene is None and scene_options.self_collision is None
     surroundings = None if unasked else scene_options.read(arm)
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
@@ -93,7 +87,7 @@ def run(
 
         loaded = arm.torques_known and not points
         write_figure(plot, plot_arm(arm, ellipsoids=points, scene=surroundings, torques=loaded))
-    if as_json:
+    if output_options.as_json:
         drawn = None if plot is None else str(plot)
         print_json({"file": urdf, **about, "curve": followed, "scene": around, "plot": drawn})
     else:
@@ -102,6 +96,24 @@ def run(
             print_scene(around)
     if plot is not None:
         print_note(f"wrote {plot}")
+
+
+@dataclass(frozen=True)
+class InspectOutput:
+    """What is shown, and how."""
+
+    plot: Annotated[
+        Path | None, OUTPUT("Save a PNG picture of modules, joint axes and control points here.", "FILE")
+    ] = None
+    ellipsoids: Annotated[
+        str | None,
+        OUTPUT(
+            "Show how near a singularity these control points are, counted from 1 at the base, instead "
+            "of the tip; with --plot, draw their manipulability ellipsoids.",
+            "N,...|all",
+        ),
+    ] = None
+    as_json: JsonOption = False
 
 
 @dataclass(frozen=True)

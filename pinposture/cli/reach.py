@@ -14,6 +14,7 @@ from pinposture.cli.inputs import (
     OUTPUT,
     TARGET,
     ArmOptions,
+    ChangeOptions,
     DegreesOption,
     JsonOption,
     SceneOptions,
@@ -98,8 +99,10 @@ def run(
     degrees = search_options.degrees
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
-    arm = arm_options.read(urdf)
-    surroundings = scene_options.read(arm)
+    change_options = search_options.change_options
+    change_options.check("arm", "scene")
+    arm = change_options.apply("arm", arm_options.read(urdf))
+    surroundings = change_options.apply("scene", scene_options.read(arm))
     told = {"position": goal_options.to, "direction": goal_options.direction}
     goal = read_declared(TipGoal, {**told, "budget": search_options.budget})
     first = None if start is None else StartOptions(start, degrees, seed).read(arm, surroundings).q
@@ -159,6 +162,7 @@ class GoalOptions:
 class SearchOptions:
     """The start of the paths, and the search."""
 
+    change_options: ChangeOptions
     start: Annotated[
         str | None,
         MOTION(

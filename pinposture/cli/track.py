@@ -86,9 +86,11 @@ def run(
 
     controller_options = track_options.controller_options
     controller_options.check(**vars(tip_options))
-    arm = arm_options.read(urdf)
-    limits = track_options.limit_options.read(arm)
-    surroundings = track_options.scene_options.read(arm)
+    change_options = track_options.change_options
+    change_options.check("arm", "limits", "scene")
+    arm = change_options.apply("arm", arm_options.read(urdf))
+    limits = change_options.apply("limits", track_options.limit_options.read(arm), arm)
+    surroundings = change_options.apply("scene", track_options.scene_options.read(arm))
     begin = start_options.read(arm, surroundings)
     task = tip_options.read(arm.at(begin.q))
     chosen = controller_options.build(task)

@@ -14,7 +14,7 @@ from pinposture._validation import as_number, require_instance, require_known, r
 from pinposture.arm import Arm
 from pinposture.arm.inertias import RigidBody
 from pinposture.arm.kinematics import frame_ids
-from pinposture.arm.weight import Load, find_frame, rod_body, spatial_inertia
+from pinposture.arm.weight import Load, find_frame, rod_body
 from pinposture.collision.bodies import Shape, described_bodies
 from pinposture.errors import InvalidValue, WeightUnknown
 
@@ -111,7 +111,7 @@ def _solid(shape: Shape) -> pin.Inertia:
         np.ravel(geometry.computeCOM()),
         np.array(geometry.computeMomentofInertiaRelatedToCOM()),
     )
-    return pin.SE3(solid.rotation, solid.position).act(spatial_inertia(body))
+    return pin.SE3(solid.rotation, solid.position).act(body.spatial)
 
 
 def _load(name: str, solid: pin.Inertia, density: float) -> Load:

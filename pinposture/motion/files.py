@@ -97,7 +97,7 @@ def unpack(
             continue
         if _is_array(kinds):
             array = arrays.get(stored) if type(None) in kinds else arrays[stored]
-            values[name] = array if array is None or array.ndim else float(array)
+            values[name] = array if array is None or array.ndim else array.item()
         elif get_origin(kinds[0]) is Mapping:
             start = f"{stored}_"
             values[name] = {

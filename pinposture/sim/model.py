@@ -403,9 +403,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
     bodies: list[RigidBody] = []
     faults: dict[str, list[str]] = {}
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
-        body, fault = physically_consistent(
-            RigidBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
-        )
+        body, fault = physically_consistent(RigidBody.of(inertia))
         bodies.append(body)
         if fault:
             faults.setdefault(fault, []).append(links_after[name].name)

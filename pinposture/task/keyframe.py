@@ -96,9 +96,11 @@ class Keyframe(Declared):
         hold: how long to stay there [s]. The arm is at rest at the first and the last keyframe and during a
             hold; it passes the others in motion.
         name: a name; if empty, messages use the number of the keyframe.
-        placement: as for `resolve_targets`; None for `usual_placement`.
-        roll: as for `resolve_targets` [rad].
-        method: as for `resolve_targets`.
+        placement: how the curve is placed: as_is, translate (its start to the base of the arm) or align (its
+            first tangent to the axis of the arm, too); as_is for a file with obstacles, else align, if None.
+        roll: additional rotation of an aligned curve about the axis of the arm [rad].
+        method: how modules are placed: sequential (one by one, exactly), smooth (all at once, with little
+            bending), closest (all at once), or auto; see `resolve_targets`.
         tip: a task of one control point, usually the tip, in this posture; None without one. A task with
             priority takes precedence over the posture; any other is weighted against it.
         region: first and last control point of the posture, 0-based, inclusive; None for all. The others are

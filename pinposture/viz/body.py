@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import product
 from typing import NamedTuple
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
@@ -15,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements, without_repeats
-from pinposture.arm.urdf import parse_xml
+from pinposture.arm.urdf import parse_xml, read_shape
 from pinposture.collision import Mesh, Obstacle, Scan
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
-from pinposture.errors import FileError, warn_caller
+from pinposture.errors import FileError, InvalidValue, warn_caller
 from pinposture.kernels.arrays import BOX, SEGMENT
 
 Array = NDArray[np.float64]
@@ -145,19 +146,21 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
     files: dict[int, list[str]] = {}
     surfaces: dict[str, TriangleMesh] = {}
     faults: dict[str, str] = {}
-    for name, joint, placement, scale in _visual_meshes(arm):
+    for name, joint, pose, visual in _visual_meshes(arm):
         if joint not in owners:
             continue
         owner = owners[joint]
         try:
+            shape = read_shape(visual)
+            scale = np.array(shape.numbers["scale"])
             if name not in faults and name not in surfaces:
                 surfaces[name] = TriangleMesh(*read_mesh(find_mesh(name, arm.package_dirs)))
             if name in surfaces:
-                placed = _place_mesh(name, surfaces[name], placement, scale, origins[owner])
+                placed = _place_mesh(name, surfaces[name], pose * shape.placement, scale, origins[owner])
                 parts.setdefault(owner, []).append(placed)
                 files.setdefault(owner, []).append(name)
-        except FileError as error:
-            faults[name] = error.reason
+        except (FileError, InvalidValue) as error:
+            faults[name] = error.reason if isinstance(error, FileError) else str(error)
     merged = {owner: merge(listed) for owner, listed in parts.items()}
     total = sum(len(mesh.faces) for mesh in merged.values())
     limit = _triangles_per_body([len(mesh.faces) for mesh in merged.values()], max_triangles)
@@ -175,8 +178,8 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 
-def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Array]]:
-    """Yield the file, joint, neutral placement in the world and scale of each mesh in the description."""
+def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Element]]:
+    """Yield the file, joint, neutral pose of the link in the world, and <visual> of each mesh described."""
     if arm.urdf is None or "<mesh" not in arm.urdf:
         return
     links = [frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY]
@@ -187,16 +190,11 @@ def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Array]]:
     for link in parse_xml(arm.urdf, "URDF text").iterfind("link"):
         frame = frames.get(link.get("name", ""))
         for visual in link.iterfind("visual"):
-            mesh = visual.find("geometry/mesh")
-            origin = visual.find("origin")
-            if mesh is None or frame is None:
+            mesh = visual.find("geometry/*")
+            if mesh is None or mesh.tag != "mesh" or frame is None:
                 continue
-            place = {} if origin is None else origin.attrib
-            turn = pin.rpy.rpyToMatrix(_three_numbers(place.get("rpy", "0 0 0")))
-            placement = pin.SE3(turn, _three_numbers(place.get("xyz", "0 0 0")))
-            scale = _three_numbers(mesh.get("scale", "1 1 1"))
             joint = int(frame.parentJoint)
-            yield mesh.get("filename", ""), joint, places[joint] * frame.placement * placement, scale
+            yield mesh.get("filename", ""), joint, places[joint] * frame.placement, visual
 
 
 def _place_mesh(name: str, mesh: TriangleMesh, pose: pin.SE3, scale: Array, origin: Array) -> TriangleMesh:
@@ -231,15 +229,6 @@ def _simplify(mesh: TriangleMesh, limit: int) -> TriangleMesh | None:
             return TriangleMesh(mesh.vertices[kept], faces)
         points //= 2
     return None
-
-
-def _three_numbers(text: str) -> Array:
-    """Parse three numbers; return NaN, which is rejected later, for any other text."""
-    try:
-        numbers = np.array([float(word) for word in text.split()])
-    except ValueError:
-        numbers = np.empty(0)
-    return numbers if numbers.shape == (3,) else np.full(3, np.nan)
 
 
 SIDES = 16  # number of sides of the polygon that approximates the section of a tube or disc

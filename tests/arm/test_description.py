@@ -28,10 +28,10 @@ def test_a_good_description_is_read_field_by_field():
     assert read.text == text
     first, second = read.joints
     assert (first.name, first.type, first.parent, first.child) == ("k", "continuous", "a", "b")
-    assert (first.axis, first.velocity, first.mimic) == ((1.0, 0.0, 0.0), None, False)
+    assert (first.axis, first.velocity, first.follows) == ((1.0, 0.0, 0.0), None, None)
     assert (first.lower, first.upper) == (-math.inf, math.inf)
     assert second.axis == pytest.approx((0.0, 0.6, 0.8), abs=1e-15)
-    assert (second.lower, second.upper, second.velocity, second.mimic) == (-1.0, 3.0, 2.0, True)
+    assert (second.lower, second.upper, second.velocity) == (-1.0, 3.0, 2.0)
     assert second.follows == Follows("k", multiplier=1.0, offset=0.0)
     assert pickle.loads(pickle.dumps(read)) == read
     with pytest.raises(dataclasses.FrozenInstanceError):

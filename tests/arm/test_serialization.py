@@ -13,8 +13,9 @@ from arm.test_coupled_joints import coupled_arm
 from sampling import seeds
 
 import pinposture as pp
-from pinposture.arm.serialization import describe_model, rebuild_model
+from pinposture.arm.serialization import ModelData
 from pinposture.errors import InvalidValue, PostureError
+from pinposture.schema import as_plain, read_plain
 
 UNIT = np.array([0.36, 0.48, 0.8])
 KINDS = {
@@ -36,7 +37,8 @@ KINDS = {
 
 
 def read_back(model: pin.Model) -> pin.Model:
-    return rebuild_model(json.loads(json.dumps(describe_model(model))))
+    described = json.loads(json.dumps(as_plain(ModelData.of(model))))
+    return read_plain(ModelData, described, folder=".").build()
 
 
 def poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
@@ -160,8 +162,8 @@ def damaged(described: dict, *path: object, to: object) -> dict:
     ("path", "value", "message"),
     [
         (("model", "joints", 1, "parent"), 7, "parent of joint"),
-        (("model", "joints", 1, "parent"), -1, "parent of joint"),
-        (("model", "joints", 1, "type"), "Planner", "no type of joint"),
+        (("model", "joints", 1, "parent"), -1, "joint 2, parent"),
+        (("model", "joints", 1, "type"), "Planner", "joint 2, type: is 'Planner' .*Planar"),
         (("model", "joints", 1, "follows"), ["nobody", 1.0, 0.0], "no leading joint"),
         (("model", "joints", 1, "follows"), ["s0_0_y", 0.0, 0.0], "ratio"),
         (("model", "joint_placements", 0, 3), np.inf, "joint_placements"),
@@ -172,9 +174,11 @@ def damaged(described: dict, *path: object, to: object) -> dict:
         (("model", "inertias"), [[0.0] * 10], "inertias"),
         (("model", "bodies"), 10**12, "bodies"),
         (("model", "vectors", "upperVelocityLimit"), [1.0], "upperVelocityLimit"),
-        (("model", "vectors", "lowerPositionLimit", 0), "x", "description of an arm"),
-        (("model", "joints"), None, "description of an arm"),
-        (("model",), "22 serialization::archive", "description of an arm"),
+        (("model", "vectors", "lowerPositionLimit", 0), "x", "lowerPositionLimit"),
+        (("model", "joints"), None, "model.joints"),
+        (("model",), "22 serialization::archive", "model is .* a table"),
+        (("model", "joint"), [], "no such key"),
+        (("model", "joints", 1, "axis"), [0.0, 0.0, 2.0], "joint 2, axis .* unit vector"),
         (("base_placement", 0, 0), 3.0, "base_placement"),
         (("control_points",), ["nowhere"], "nowhere"),
         (("report", "segmentation"), None, "report.segmentation"),

@@ -131,3 +131,54 @@ def test_a_goal_is_given_with_units(command, arm_file):
 def test_a_tolerance_is_given_with_a_unit(command, arm_file, plain, told):
     asked = ("track", arm_file, "--curve", "line", "--json", "--tolerance")
     assert command(*asked, *plain).out == command(*asked, *told).out
+
+
+def test_what_has_no_option_of_its_own_is_set_by_its_key(track):
+    run = track("--effort", 5, "--set", "limits.effort=true", "--set", "scene.margin=7 mm")
+    assert run.limits.effort is True
+    assert run.scene.margin == 0.007
+    run = track("--set", "arm.weight.gravity=[0, 0, -3.7]", "--set", "arm.placement.position=[0, 0, '1 m']")
+    assert run.arm.weight.gravity == (0.0, 0.0, -3.7)
+    np.testing.assert_array_equal(run.arm.chain.base, [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("verb", "given", "says"),
+    [
+        ("track", "scene.margn=1", ("no key of --set scene is called 'margn' (did you mean 'margin'?)",)),
+        ("track", "scene.margin=5kg", ("--set scene.margin is '5kg'", "units m, cm, mm")),
+        ("track", "margin=1", ("no key for --set is called 'margin'", "limits.FIELD")),
+        ("track", "scene.margin", ("--set is 'scene.margin'", "KEY=VALUE")),
+        ("track", "arm.weight.gravity=1", ("--set arm.weight.gravity is 1", "a list of 3")),
+        ("inspect", "limits.effort=true", ("no key for --set is called 'limits.effort'", "arm.FIELD")),
+    ],
+)
+def test_what_cannot_be_set_is_refused_in_one_line(command, arm_file, verb, given, says):
+    curve = ("--curve", "line") if verb == "track" else ()
+    result = command(verb, arm_file, *curve, "--set", given)
+    assert (result.code, result.out) == (2, "")
+    assert len(result.err.splitlines()) == 1
+    for words in says:
+        assert words in result.err
+
+
+@pytest.mark.parametrize(
+    ("verb", "option", "kind", "name"),
+    [
+        ("inspect", "--tip", pp.arm.ArmSpec, "tip"),
+        ("inspect", "--couple", pp.arm.ArmSpec, "couplings"),
+        ("inspect", "--stiffness", pp.arm.weight.Weight, "stiffness"),
+        ("track", "--roll", pp.Keyframe, "roll"),
+        ("track", "--method", pp.Keyframe, "method"),
+    ],
+)
+def test_options_of_declared_fields_have_their_words(command, verb, option, kind, name):
+    out = " ".join(command(verb, "--help", env={"COLUMNS": "300"}).out.replace("│", " ").split())
+    said = describe_field(kind, name).partition(" [")[0]
+    assert said.partition("`")[0] in out[out.index(f" {option} ") :]
+
+
+def test_a_default_is_told_whichever_way_the_class_tells_it():
+    assert describe_field(pp.arm.ArmSpec, "base").endswith("needs a tip. Default: the root.")
+    assert describe_field(pp.arm.weight.Weight, "stiffness").endswith(". Default: unknown.")
+    assert "Default" not in describe_field(pp.arm.ArmSpec, "locked")
