@@ -36,7 +36,7 @@ from pinposture.motion.arrival import Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.feedback import Feedback, FeedbackState, read_start
-from pinposture.motion.loop import Loop, in_scene
+from pinposture.motion.loop import Loop, describe_binding_limits, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities
 from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
 from pinposture.placement import Target
@@ -579,7 +579,9 @@ class Tracker:
         if not isfinite(step.dq @ step.dq):
             self._loop.memory = before
             return None, "the step of the controller is not finite"
-        return step, step.reason
+        if not step.reason:
+            return step, ""
+        return step, step.reason + describe_binding_limits(self.arm, step)
 
     def _watch_clearance(self) -> None:
         """Let the controller keep the measured arm clear, too, where drives lag or sag."""
