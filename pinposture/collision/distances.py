@@ -6,7 +6,7 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -146,8 +146,6 @@ class Poses(NamedTuple):
     positions: Array
 
 
-Posed: TypeAlias = tuple[coal.CollisionGeometry, coal.Transform3s, coal.CollisionGeometry, coal.Transform3s]
-"""Two solids, each with its placement."""
 _SOUND = 1e100
 """Distances this large are failures of coal [m]."""
 
@@ -167,39 +165,22 @@ class Contact(NamedTuple):
 
 
 class Narrow(threading.local):
-    """Distance queries to coal; each thread has its own requests and result.
+    """What queries to coal need; each thread has its own.
 
     Attributes:
         places: two placements for reuse, as creating one takes longer than a query.
+        requests: the requests, to be made in this order until one succeeds.
+        result: the result of the last one.
     """
 
     def __init__(self) -> None:
         self.places = coal.Transform3s(), coal.Transform3s()
-        self._result = coal.DistanceResult()
         # By default distances are off by up to a micrometre per metre, which shows in derivatives. The search
         # in penetration cannot be more precise: it then fails and returns a distance of 1.8e308.
-        self._requests = [coal.DistanceRequest(), coal.DistanceRequest()]
-        self._requests[0].gjk_tolerance = 1e-9
-        self._requests[1].epa_tolerance = 1e-4
-
-    def distance(self, posed: Posed) -> float:
-        """Return the distance of two solids, negative for overlap [m]; NaN if coal fails."""
-        for request in self._requests:
-            self._result.clear()
-            distance = float(coal.distance(*posed, request, self._result))
-            if abs(distance) < _SOUND:
-                return distance
-        return math.nan
-
-    def contact(self, posed: Posed) -> Contact:
-        """Return distance, normal and point of two solids; the distance is NaN if coal fails."""
-        distance = self.distance(posed)
-        if math.isnan(distance):
-            return Contact(distance, np.zeros(3), np.array(posed[1].getTranslation()))
-        away = -np.array(self._result.normal)  # coal's normal points from the first to the second
-        size = float(np.linalg.norm(away))
-        normal = away / size if abs(size - 1.0) < 1e-3 else np.zeros(3)
-        return Contact(distance, normal, np.array(self._result.getNearestPoint1()))
+        self.requests = coal.DistanceRequest(), coal.DistanceRequest()
+        self.requests[0].gjk_tolerance = 1e-9
+        self.requests[1].epa_tolerance = 1e-4
+        self.result = coal.DistanceResult()
 
 
 NO_PAIR = -1
@@ -351,6 +332,9 @@ class PairDistances:
             starts=np.append(begins, len(listed)).astype(np.int64),
         )
         self._open = int(np.count_nonzero(~exact))
+        self._sides = np.column_stack([self.first, self.second])
+        # Coal ignores the radius of the points of a cloud.
+        self._point_radii = np.where(kinds == PIECE, self._arrays.radii[self.second], 0.0)
 
     def with_obstacles(self, changes: Mapping[int, Solid]) -> PairDistances:
         """Return the distances with some obstacles, by index, replaced by others of the same kind."""
@@ -417,9 +401,7 @@ class PairDistances:
             bound = float(bounds[at])
             if bound >= max(within, best) or poses is None:
                 break
-            contact = self._narrow.contact(self._posed(k, poses, self.first[k], self.second[k]))
-            distance = bound if math.isnan(contact.distance) else contact.distance - self._point_radius(k)
-            contact = contact._replace(distance=distance)
+            contact = self._contact(k, poses, bound)
             if contact.distance < best:
                 best = contact.distance
                 pair = k
@@ -452,17 +434,16 @@ class PairDistances:
         for at in np.argsort(bounds[:opened], kind="stable"):
             if bounds[at] >= min(best, below):
                 break
-            sample, candidate = (int(each) for each in open_pairs[at])
+            sample = int(open_pairs[at, 0])
+            candidate = open_pairs[at, 1:]
             if sample not in poses:
                 poses[sample] = self._pose_bodies(placements, sample)
-            first = self.first[candidate]
-            second = self.second[candidate]
-            distance = self._narrow.distance(self._posed(candidate, poses[sample], first, second))
-            # If coal fails, the bound is on the safe side.
-            distance = float(bounds[at]) if math.isnan(distance) else distance - self._point_radius(candidate)
+            distance = float(self._measure(candidate, poses[sample], self._sides[candidate])[0])
+            if math.isnan(distance):
+                distance = float(bounds[at])  # on the safe side
             if distance < best:
                 best = distance
-                pair = candidate
+                pair = int(candidate[0])
         return best, pair
 
     def minimum_on_motions(
@@ -525,15 +506,11 @@ class PairDistances:
         placements = kinematics.place(q, (1.0 - shares) * offsets[pieces] + shares * offsets[pieces + 1])
         drifted = (1.0 - shares) * drifts[pieces] + shares * drifts[pieces + 1]
         placements = placements._replace(origins=placements.origins + drifted[:, None])
-        found = np.empty(len(samples))
-        count = len(samples)
+        numbers = np.arange(len(samples))
         bodies = np.append(self.first[pairs], np.minimum(self.second[pairs], len(self._joints) - 1))
-        poses = self._pose_bodies(placements, np.tile(np.arange(count), 2), bodies)
-        for sample, pair in enumerate(pairs.tolist()):
-            distance = self._narrow.distance(self._posed(pair, poses, sample, count + sample))
-            bound = float(samples[sample, 5])  # on the safe side if coal fails
-            found[sample] = bound if math.isnan(distance) else distance - self._point_radius(pair)
-        return found
+        poses = self._pose_bodies(placements, np.tile(numbers, 2), bodies)
+        found = self._measure(pairs, poses, np.column_stack([numbers, numbers + len(samples)]))
+        return np.where(np.isnan(found), samples[:, 5], found)  # the bounds are on the safe side
 
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
         """Find the pairs nearer than a distance at several configurations; for gradients, not for checks.
@@ -582,10 +559,6 @@ class PairDistances:
         still = ends[self.second[pair]]
         return moving, np.stack([place, place]) if self._arrays.kinds[pair] in (PIECE, INSIDE) else still
 
-    def _point_radius(self, pair: int) -> float:
-        """Return the radius of the points of a cloud, which coal ignores [m]; else 0."""
-        return float(self._arrays.radii[self.second[pair]]) if self._arrays.kinds[pair] == PIECE else 0.0
-
     def _ends(self, placements: Placements) -> Array:
         """Return the axis ends of all bodies, (s, bodies, 2, 3) [m], world frame."""
         ends = np.empty((len(placements.origins), *self._local.shape))
@@ -601,22 +574,50 @@ class PairDistances:
         shifts = (turns @ self._shifts[bodies])[..., 0] + placements.origins[samples, joints]
         return Poses(turns @ self._turns[bodies], shifts)
 
-    def _posed(self, pair: int, poses: Poses, first: int, second: int) -> Posed:
-        """Return both solids of a pair with their placements, which the next call in this thread reuses.
+    def _measure(self, pairs: Indices, poses: Poses, sides: Indices) -> Array:
+        """Return the distances of k pairs from coal, negative for overlap, (k,) [m]; NaN where it fails.
 
         Args:
-            pair: index of the pair.
+            pairs: their indices, (k,).
             poses: poses of bodies.
-            first: index of the pose of the first body.
-            second: index of the pose of the second, if it is not an obstacle.
+            sides: which of these are those of both bodies of each pair, (k, 2); ignored for an obstacle.
         """
-        here, there = self._narrow.places
-        here.setRotation(poses.rotations[first])
-        here.setTranslation(poses.positions[first])
-        other = self.second[pair]
-        if other >= len(self._joints):
-            there = self._fixed[other - len(self._joints)]
-        else:
-            there.setRotation(poses.rotations[second])
-            there.setTranslation(poses.positions[second])
-        return self._solids[self.first[pair]].geometry, here, self._solids[other].geometry, there
+        narrow = self._narrow
+        result = narrow.result
+        here, there = narrow.places
+        bodies = len(self._joints)
+        found = np.full(len(pairs), np.nan)
+        for k, pair in enumerate(pairs.tolist()):
+            one = self._solids[self.first[pair]].shape
+            other = self._solids[self.second[pair]].shape
+            if isinstance(other, tuple):  # a piece of an obstacle; bodies are in one piece
+                tree, node = other
+                other = tree.geometry(node)
+            first, second = sides[k]
+            here.setRotation(poses.rotations[first])
+            here.setTranslation(poses.positions[first])
+            place = there
+            if self.second[pair] >= bodies:
+                place = self._fixed[self.second[pair] - bodies]
+            else:
+                there.setRotation(poses.rotations[second])
+                there.setTranslation(poses.positions[second])
+            for request in narrow.requests:
+                result.clear()
+                distance = coal.distance(one, here, other, place, request, result)
+                if abs(distance) < _SOUND:
+                    found[k] = distance - self._point_radii[pair]
+                    break
+        return found
+
+    def _contact(self, pair: int, poses: Poses, bound: float) -> Contact:
+        """Return the contact of a pair, given poses of all bodies; at a bound of the distance if coal fails."""
+        sides = self._sides[pair]
+        distance = float(self._measure(np.array([pair]), poses, sides[None])[0])
+        if math.isnan(distance):
+            return Contact(bound, np.zeros(3), np.array(poses.positions[sides[0]]))
+        result = self._narrow.result
+        away = -np.array(result.normal)  # coal's normal points from the first to the second
+        size = float(np.linalg.norm(away))
+        normal = away / size if abs(size - 1.0) < 1e-3 else np.zeros(3)
+        return Contact(distance, normal, np.array(result.getNearestPoint1()))

@@ -17,7 +17,6 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.collision import Box, Capsule, Closest, CollisionModel, Cylinder, HalfSpace, Scene, Sphere
-from pinposture.collision.distances import Narrow
 from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.errors import InvalidValue
 
@@ -58,15 +57,12 @@ def test_distances_are_those_of_coal_and_never_larger(seed):
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
     q = arm.random(rng)
     distances = clearance._distances
-    narrow = Narrow()
     placements = clearance._kinematics.place(q)
     near = distances.near(placements, np.inf)
     poses = distances._pose_bodies(placements, 0)
     assert sorted(near.pairs) == list(range(len(clearance.pairs)))
-    for pair, distance in zip(near.pairs, near.distances, strict=True):
-        first = distances.first[pair]
-        second = distances.second[pair]
-        by_coal = narrow.distance(distances._posed(int(pair), poses, first, second))
+    all_by_coal = distances._measure(near.pairs, poses, distances._sides[near.pairs])
+    for distance, by_coal in zip(near.distances, all_by_coal, strict=True):
         assert distance <= by_coal + 2e-4 * (by_coal < 0.0) + 2e-6
         if by_coal > 0.0:
             assert distance == pytest.approx(by_coal, abs=2e-6)

@@ -115,7 +115,11 @@ def by_coal(one, other):
     posed = []
     for each in (one.solid(), other.solid()):
         posed += [each.geometry, coal.Transform3s(each.rotation, each.position)]
-    return Narrow().distance(tuple(posed))
+    for request in Narrow().requests:
+        distance = coal.distance(*posed, request, coal.DistanceResult())
+        if abs(distance) < 1e100:
+            break
+    return distance
 
 
 def pillar(rng):
