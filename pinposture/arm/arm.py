@@ -500,7 +500,7 @@ class Arm(ConfigurationSpace):
         """Last link of the arm; for a Pinocchio model, the frame of the last control point."""
         return self.report.tip if self.report else self.control_points[-1]
 
-    @property
+    @cached_property
     def n_modules(self) -> int:
         """Number of modules and of control points, m."""
         return len(self.control_points)
@@ -522,7 +522,7 @@ class Arm(ConfigurationSpace):
         own = [Drive(name, name, 1.0, 0.0, not slides) for name, slides in joints]
         return DrivenJoints(behind.get(each.leader, each) for each in own)
 
-    @property
+    @cached_property
     def columns(self) -> NDArray[np.intp]:
         """Tangent-space index of each degree of freedom of the chain, from base to tip, (n,)."""
         return self.chain.inputs
@@ -550,12 +550,12 @@ class Arm(ConfigurationSpace):
         """Orthonormal basis of the directions in which the arm can move, (2, 3) or (3, 3), world frame."""
         return self.chain.plane
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         """2 if every joint axis is parallel (a planar arm), else 3."""
         return len(self.plane)
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length along the arm from the first joint to the tip [m]."""
         return self.chain.length

@@ -611,7 +611,7 @@ class PairDistances:
         return found
 
     def _contact(self, pair: int, poses: Poses, bound: float) -> Contact:
-        """Return the contact of a pair, given poses of all bodies; at a bound of the distance if coal fails."""
+        """Return the contact of a pair, given poses of all bodies; at the bound if coal fails."""
         sides = self._sides[pair]
         distance = float(self._measure(np.array([pair]), poses, sides[None])[0])
         if math.isnan(distance):

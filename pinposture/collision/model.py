@@ -391,6 +391,7 @@ class CollisionModel:
 
     _distances: PairDistances
     _moment: CollisionModel | None  # the model of the last scene with moved obstacles
+    _seen: tuple[ArmState, Closest] | None  # the smallest distance at the last state
     _numbers: dict[str, list[int]]  # indices of the solids of each obstacle
     _velocities: Array  # of the middle of the obstacle of each solid, (o, 3) [m/s]
     _turning: Array  # angular velocities, (o, 3) [rad/s]
@@ -458,6 +459,7 @@ class CollisionModel:
         other.__dict__.update(self.__dict__)
         other.__dict__.pop("_by_velocity", None)
         other._moment = None  # or each moment would keep all those before it
+        other._seen = None
         return other
 
     def _elsewhere(self, moved: Mapping[str, Obstacle]) -> PairDistances:
@@ -486,6 +488,7 @@ class CollisionModel:
         self.scene = scene
         self.bodies = choice.bodies
         self._moment = None
+        self._seen = None
         self._model = arm.model
         self._plane = np.array(arm.plane)
         self._space = ConfigurationSpace(arm.model)
@@ -532,8 +535,7 @@ class CollisionModel:
         Raises:
             InvalidValue: a state of another arm, or not a distance.
         """
-        if not isinstance(state, ArmState) or state.arm.model is not self._model:
-            raise InvalidValue("state", state, "a state of the arm of the collision model")
+        self._require_own(state)
         if not (isinstance(within, (int, float, np.floating)) and within >= 0.0):
             raise InvalidValue("within", within, "a distance of at least 0 [m]")
         placements = self._kinematics.place(state.q)
@@ -558,6 +560,10 @@ class CollisionModel:
             minimum=best.distance,
             pair=best.pair,
         )
+
+    def _require_own(self, state: ArmState) -> None:
+        if not isinstance(state, ArmState) or state.arm.model is not self._model:
+            raise InvalidValue("state", state, "a state of the arm of the collision model")
 
     def contacts_along(self, q0: Array, offsets: Array, within: float) -> Contacts:
         """Return the pairs nearer than a distance at several configurations.
@@ -600,6 +606,23 @@ class CollisionModel:
         """
         placements = self._kinematics.place(self._space.checked(q))
         return self._closest(*self._distances.minimum(placements))
+
+    def minimum_at(self, state: ArmState) -> Closest:
+        """Return the smallest distance of all pairs at a state, without computing it again for the last one.
+
+        Args:
+            state: a state of the arm.
+
+        Raises:
+            InvalidValue: a state of another arm.
+        """
+        self._require_own(state)
+        chain_state = state.chain_state
+        seen = self._seen  # another thread may change it
+        if seen is None or seen[0] is not chain_state:
+            seen = chain_state, self._closest(*self._distances.minimum(self._kinematics.place(state.q)))
+            self._seen = seen
+        return seen[1]
 
     def minimum_between(self, q0: ArrayLike, dq: ArrayLike) -> Closest:
         """Return the smallest distance on the straight motion along a displacement.

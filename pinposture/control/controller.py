@@ -167,9 +167,14 @@ def require_step_arguments(state: ArmState, target: Target, memory: object = Non
     """Raise InvalidValue if an argument of a step has the wrong type, or the target does not fit the arm."""
     require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
     require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
-    if not (memory is None or isinstance(memory, Memory)):
-        raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
     target.check_numbers(state.arm)
+    if memory is None:
+        return
+    if not isinstance(memory, Memory):
+        raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
+    if not _is_displacement(memory.dq, state.arm.nv):
+        allowed = f"the previous step, an array of {state.arm.nv} finite numbers"
+        raise InvalidValue("memory.dq", memory.dq, allowed)
 
 
 def task_errors(state: ArmState, target: Target) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple, cast
 
@@ -50,7 +51,8 @@ POSITION_SLACK = 1e-6
 """Excess over a position limit beyond which a joint is brought back, in `Arm.joint_units`."""
 
 
-class JointBounds(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class JointBounds:
     """Limits of one step, in joint displacements and positions.
 
     Attributes:
@@ -80,15 +82,54 @@ class JointBounds(NamedTuple):
     jerk: Array | None
     effort: Array | None
 
-    @property
+    @cached_property
     def arrays(self) -> LimitArrays:
         """The limits of a step, for kernels."""
         return LimitArrays(self.units, self.slack, self.edges, self.bound)
 
-    @property
+    @cached_property
     def braking(self) -> Array:
         """`brake` for kernels, empty without a limit."""
         return _NO_BOUND if self.brake is None else self.brake
+
+    def before(self, previous: Array | None) -> Array:
+        """Return the previous step for kernels, (nv,) [rad or m]; empty where it does not matter.
+
+        Args:
+            previous: as in `box`.
+        """
+        if self.brake is None:
+            return _NO_BOUND
+        return np.zeros(len(self.bound)) if previous is None else np.array(previous, dtype=np.float64)
+
+    def box(self, state: ArmState, previous: Array | None) -> StepBox:
+        """Return the steps that the limits allow; see `Limits.box`.
+
+        Args:
+            state: a state of the arm of these limits.
+            previous: the previous step, (nv,) finite numbers [rad or m]; None: the arm was at rest.
+        """
+        arm = state.arm
+        positions = state.raw_positions
+        before = self.before(previous)
+        sides = np.empty((2, arm.nv))
+        found = kernels.step_box(
+            positions,
+            self.edges,
+            self.bound,
+            self.braking,
+            before,
+            LIMIT_ROUNDING,
+            arm.kinematics.columns,
+            self.slack,
+            sides,
+        )
+        relaxed: tuple[str, ...] = ()
+        if found % 2:
+            relaxed = violated_limits(
+                arm, positions, self.edges, self.bound, self.braking, before, LIMIT_ROUNDING
+            )
+        return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
 
 def joint_bounds(
@@ -549,27 +590,7 @@ class Limits(Declared):
             InvalidValue: the limits or the previous step do not fit the arm.
         """
         arm = arm_of(state)
-        bounds = self.for_arm(arm)
-        positions = state.raw_positions
-        before = previous_step(arm, bounds, previous)
-        sides = np.empty((2, arm.nv))
-        found = kernels.step_box(
-            positions,
-            bounds.edges,
-            bounds.bound,
-            bounds.braking,
-            before,
-            LIMIT_ROUNDING,
-            arm.kinematics.columns,
-            bounds.slack,
-            sides,
-        )
-        relaxed: tuple[str, ...] = ()
-        if found % 2:
-            relaxed = violated_limits(
-                arm, positions, bounds.edges, bounds.bound, bounds.braking, before, LIMIT_ROUNDING
-            )
-        return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
+        return self.for_arm(arm).box(state, _checked_step(previous, arm))
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
         """Scale a step to meet the step limit, then clip it at the position limits.
@@ -588,7 +609,7 @@ class Limits(Declared):
         arm = arm_of(state)
         bounds = self.for_arm(arm)
         dq = finite_vector("dq", dq, arm.nv, LARGEST_NUMBER)
-        before = previous_step(arm, bounds, previous)
+        before = bounds.before(_checked_step(previous, arm))
         cut = np.empty(arm.nv)
         clipped = np.empty(arm.nv, dtype=np.bool_)
         scale = kernels.shorten_step(
@@ -607,8 +628,9 @@ class Limits(Declared):
         """
         bounds = self.for_arm(arm_of(state))
         dq = np.zeros(state.arm.nv)
-        if bounds.brake is not None:
-            dq = full_braking(_previous(state.arm, previous), bounds.brake)
+        before = _checked_step(previous, state.arm)
+        if bounds.brake is not None and before is not None:
+            dq = full_braking(before, bounds.brake)
         return LimitedStep(np.clip(dq, -bounds.bound, bounds.bound), 1.0, np.zeros(len(dq), dtype=np.bool_))
 
     def for_arm(self, arm: Arm) -> JointBounds:
@@ -630,7 +652,7 @@ class Limits(Declared):
             jerk=self.jerk,
         )
         if self.effort is not None:
-            bounds = bounds._replace(effort=_effort_of(arm, self.effort))
+            bounds = replace(bounds, effort=_effort_of(arm, self.effort))
         known = recent_values(arm, JointBounds, _MAX_CACHED)
         known.keep(self._key, bounds)
         if self.velocity is not None:
@@ -684,6 +706,7 @@ class JerkFilter:
 
     Attributes:
         cycles: number of steps that are averaged; 1 without a jerk limit, which leaves steps unchanged.
+        active: whether steps are changed: there is a limit of jerk that the others do not keep anyway.
 
     Raises:
         InvalidValue: a jerk limit that needs an average over more than `MAX_JERK_CYCLES` steps.
@@ -698,13 +721,9 @@ class JerkFilter:
             allowed = f"more; it averages steps over {cycles:.4g} cycles, {MAX_JERK_CYCLES} at most"
             raise InvalidValue("jerk", limits.jerk, allowed)
         self.cycles = max(int(cycles), 1)
+        self.active = self.cycles > 1
         self._steps = np.zeros((self.cycles, arm.nv))
         self._owed = np.arange(self.cycles)[:, None] / self.cycles
-
-    @property
-    def active(self) -> bool:
-        """Whether steps are changed: there is a limit of jerk that the others do not keep anyway."""
-        return self.cycles > 1
 
     @property
     def ahead(self) -> Array:
@@ -789,11 +808,6 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
     warn_caller(text)
 
 
-def previous_step(arm: Arm, bounds: JointBounds, previous: Array | None) -> Array:
-    """Return the previous step for kernels, (nv,) [rad or m]; empty where it does not matter."""
-    return _NO_BOUND if bounds.brake is None else _previous(arm, previous)
-
-
-def _previous(arm: Arm, previous: Array | None) -> Array:
-    """Return the previous step, (nv,); zero if there was none."""
-    return np.zeros(arm.nv) if previous is None else finite_vector("previous", previous, arm.nv)
+def _checked_step(previous: Array | None, arm: Arm) -> Array | None:
+    """Return a previous step that a caller gave, (nv,); None if there was none."""
+    return None if previous is None else finite_vector("previous", previous, arm.nv)

@@ -95,6 +95,11 @@ MAX_CONSTRAINTS = 8
 class RunRecord:
     """The states and steps of a run so far.
 
+    Attributes:
+        steps: number of steps.
+        posture_error: current sum of the distances of the control points from their targets [m].
+        mean_error: current mean of these distances [m].
+
     Args:
         target: the initial target posture.
         start: the first state.
@@ -104,52 +109,52 @@ class RunRecord:
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
         self._target = target
         self._scene = scene
-        self._distances_of = None if scene is None or scene.empty else CollisionModel(start.arm, scene)
-        self._distances = [self._distance(start)]
-        self._steps: list[Step] = []
+        self._model = None if scene is None or scene.empty else CollisionModel(start.arm, scene)
         self._reported: dict[str, tuple[tuple[int, ...], str]] = {}
-        self._last = start
-        self._q = [start.q]
-        self._points = [start.chain_state.points]
-        self._errors = [self._point_errors(start)]
-        self.set_target(target)
+        self._steps: list[Step] = []
+        self._q: list[Array] = []
+        self._points: list[Array] = []
+        self._errors: list[Array] = []
+        self._distances: list[float] = []
+        self.steps = 0
+        self._add(start)
+        self._measure_progress()
 
     def set_target(self, target: Target) -> None:
         """Replace the target, and restart measuring progress."""
         self._target = target
-        self._now = self._point_errors(self._last)
+        self._measure()
+        self._measure_progress()
+
+    def _measure_progress(self) -> None:
+        """Measure progress from here."""
         self._best = self.posture_error
         self._idle = 0.0
+
+    def _measure(self) -> Array:
+        """Measure the current errors, and return the distances of the control points, (m,) [m]."""
+        errors = self._target.distances(self._points[-1])
+        self.posture_error = float(errors.sum())
+        self.mean_error = self.posture_error / int(np.count_nonzero(self._target.weights > 0.0))
+        return errors
+
+    def _add(self, state: ArmState) -> None:
+        """Add a state."""
+        self._last = state
+        self._q.append(state.q)
+        self._points.append(state.chain_state.points)
+        self._errors.append(self._measure())
+        self._distances.append(np.inf if self._model is None else self._model.minimum_at(state).distance)
 
     def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error at a state exceeds the current one, by more than rounding."""
         rounding = tolerances.ERROR_ROUNDING * state.arm.length
-        return float(self._point_errors(state).sum()) > self.posture_error + rounding
+        error = float(self._target.distances(state.chain_state.points).sum())
+        return error > self.posture_error + rounding
 
     def mean_error_at(self, state: ArmState) -> float:
         """Return the mean distance of the control points from their targets at a state [m]."""
-        return float(self._point_errors(state).sum()) / int(np.count_nonzero(self._target.has_target))
-
-    def _point_errors(self, state: ArmState) -> Array:
-        return self._target.distances(state.chain_state.points)
-
-    def _distance(self, state: ArmState) -> float:
-        return np.inf if self._distances_of is None else self._distances_of.minimum(state.q).distance
-
-    @property
-    def steps(self) -> int:
-        """Number of steps so far."""
-        return len(self._steps)
-
-    @property
-    def posture_error(self) -> float:
-        """Current sum of the distances of the control points from their targets [m]."""
-        return float(self._now.sum())
-
-    @property
-    def mean_error(self) -> float:
-        """Current mean distance of the control points from their targets [m]."""
-        return self.posture_error / int(np.count_nonzero(self._target.has_target))
+        return self._target.mean_distance(state.chain_state.points)
 
     def append(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
         """Append a step.
@@ -161,15 +166,11 @@ class RunRecord:
             target: the new target, if it has changed.
         """
         self._target = self._target if target is None else target
-        self._steps.append(step._replace(info=self._checked_info(step.info)))
+        self._steps.append(step._replace(info=self._checked_info(step.info)) if step.info else step)
+        self.steps += 1
         if not step.following_path:
             self._idle += travel
-        self._q.append(state.q)
-        self._distances.append(self._distance(state))
-        self._points.append(state.chain_state.points)
-        self._last = state
-        self._now = self._point_errors(state)
-        self._errors.append(self._now)
+        self._add(state)
 
     def _checked_info(self, info: Mapping[str, Info]) -> dict[str, Info]:
         """Return what a controller reports, read now; each value must be like those of the steps before."""
@@ -273,6 +274,7 @@ class RecordedLoop(Loop):
         super().__init__(arm.at(q0), DirectStep(controller), limits, JerkFilter(arm, limits))
         self.last_step: Step | None = None
         self.record = RunRecord(target, self.state, scene)
+        self._bounds = limits.for_arm(arm)
 
     def compute(self, target: Target) -> Step:
         """Return the next step towards a target, without taking it; as `Loop.compute`, but never late."""
@@ -292,7 +294,7 @@ class RecordedLoop(Loop):
         if self.filter.active:
             step = step._replace(dq=dq, error_increasing=self.record.error_rises_at(self.state))
         try:
-            self.record.append(self.state, step, self.limits.travel(self.state), target)
+            self.record.append(self.state, step, self._bounds.travel, target)
         except InvalidValue as error:  # what the controller reports is not as before
             name = f"{type(self.steps.controller).__name__}.step(...).{error.name}"
             raise InvalidValue(name, error.value, error.allowed) from None
@@ -350,7 +352,7 @@ class RecordedLoop(Loop):
         if self.filter.moving:
             mean = max(mean, self.record.mean_error_at(self.ahead))
         if mean <= tolerance:
-            brake = self.limits.for_arm(self.arm).brake
+            brake = self._bounds.brake
             if brake is None or self.memory is None or np.all(np.abs(self.memory.dq) <= brake):  # it can stop
                 return "converged", describe_arrival(self.arm, mean, tolerance)
         if self.record.steps >= max_steps:

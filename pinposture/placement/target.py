@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import (
+    LARGEST_NUMBER,
     as_floats,
     finite_array,
     finite_vector,
@@ -117,11 +118,19 @@ class Target:
         Raises:
             InvalidValue: the points are not finite numbers of this shape.
         """
+        usual = isinstance(points, np.ndarray) and points.dtype == np.float64
+        fits = usual and points.ndim in (2, 3) and points.shape[-2:] == self.points.shape
+        if not (fits and (np.abs(points) <= LARGEST_NUMBER).all()):
+            points = self._read_points(points)
+        return np.asarray((self.points - points) * (self.weights > 0.0)[:, None])
+
+    def _read_points(self, points: Array) -> Array:
+        """Read control points, as for `errors`, which are not as they usually are."""
         given = finite_array("points", points)
         if given.ndim not in (2, 3) or given.shape[-2:] != self.points.shape:
             allowed = f"(m, 3) or (s, m, 3), with m = {len(self.points)}"
             raise InvalidValue("points (shape)", given.shape, allowed)
-        return np.asarray((self.points - given) * self.has_target[:, None])
+        return given
 
     def distances(self, points: Array) -> Array:
         """Return the distances of control points, as for `errors`, from their targets, (m,) or (s, m) [m]."""

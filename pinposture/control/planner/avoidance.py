@@ -625,9 +625,12 @@ class Avoidance:
 
     def describe_violations(self, state: ChainState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin, and the constraints that are violated."""
-        near = self.near(state)
-        close = np.flatnonzero(near.distances < self.margin - 1e-9 * self._length)
-        words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
+        words = []
+        least = self.margin - 1e-9 * self._length
+        if self.clearance.minimum_at(state).distance < least:
+            near = self.near(state)
+            close = np.flatnonzero(near.distances < least)
+            words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
         more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
         broken = self._describe_broken(state) if self.constrained else ()
         return (*words[:MAX_NAMED_PAIRS], *more, *broken)
@@ -663,6 +666,8 @@ class Avoidance:
         self, state: ChainState, solution: Solution | None, stuck: bool
     ) -> tuple[str, ...]:
         """Describe what limits a step: pairs and constraints with active rows, or all close ones if stuck."""
+        if solution is None and not stuck:
+            return ()
         near = self.near(state)
         count = len(near.distances)
         binding = np.zeros(0, dtype=np.bool_) if solution is None else solution.binding

@@ -20,7 +20,6 @@ from pinposture.control.limits import (
     Limits,
     StepBox,
     farthest,
-    previous_step,
     require_limits,
 )
 from pinposture.control.planner.avoidance import Avoidance, Solution
@@ -284,7 +283,7 @@ def follow(
     bounds = limits.for_arm(state.arm)
     avoidance = Avoidance.of(progress.path.scene, progress.objective, bounds, previous)
     step = fast_step(progress, state, bounds, previous) if avoidance is None else None
-    return advance(progress, state, limits, limits.box(state, previous), avoidance) if step is None else step
+    return advance(progress, state, bounds, bounds.box(state, previous), avoidance) if step is None else step
 
 
 def fast_step(
@@ -351,7 +350,7 @@ def _is_expected(progress: PathProgress, state: ChainState) -> bool:
     """Whether the arm is at its expected position, up to rounding."""
     if progress.expected is None:
         return False
-    off = state.positions - progress.expected
+    off = state.raw_positions - progress.expected
     return bool(off.dot(off) <= BOX_SLACK**2)
 
 
@@ -378,7 +377,7 @@ def _steps_ahead(
         reached=np.empty((count, arm.nv)),
         at_limit=np.empty((count, arm.nv), dtype=np.bool_),
     )
-    before = previous_step(arm, bounds, previous)
+    before = bounds.before(previous)
     steps = kernels.advance(
         arm.kinematics.constants,
         arm.kinematics.endless,
@@ -442,7 +441,7 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
 
 
 def pursue(
-    objective: Objective, state: ChainState, limits: Limits, memory: Memory | None
+    objective: Objective, state: ChainState, bounds: JointBounds, memory: Memory | None
 ) -> tuple[Step | None, Goal | None]:
     """Take the step with which each joint catches up with its moving goal soonest and then stays on it.
 
@@ -454,7 +453,7 @@ def pursue(
     Args:
         objective: the objective, without tasks.
         state: the state of the arm.
-        limits: the limits of the step, with acceleration.
+        bounds: the limits of the joints, with acceleration.
         memory: `memory` of the previous step.
 
     Returns:
@@ -462,7 +461,6 @@ def pursue(
     """
     arm = state.arm
     target = objective.target
-    bounds = limits.for_arm(state.arm)
     before = memory.goal if isinstance(memory, GeodesicMemory) else None
     if before is not None and before.target is target:
         return None, before._replace(motion=np.zeros(arm.nv))
@@ -471,7 +469,7 @@ def pursue(
     if found is None or bounds.brake is None:
         return None, None
     if target.q is not None:  # its configuration may miss the points
-        missed = objective.mean_error(arm.chain_at(target.q))
+        missed = objective.mean_error(ChainState(arm, target.q))
         if missed > GOAL_TOLERANCE * arm.length:
             return None, None
     motion = none if before is None else _turned(arm, found - before.positions)
@@ -490,7 +488,7 @@ def pursue(
     near = np.abs(rest) <= MAX_PURSUED_MOTION * arm.joint_units
     moves = near & (np.abs(motion) <= bounds.bound)
     inside = kernels.position_excess(positions + rest, bounds.edges, arm.kinematics.columns) == 0.0
-    box = limits.box(state, None if memory is None else memory.dq)
+    box = bounds.box(state, None if memory is None else memory.dq)
     if box.outside or not (inside and np.all(moves[columns])):
         return None, goal
     dq = np.zeros(arm.nv)
@@ -547,23 +545,23 @@ class CandidateStep(NamedTuple):
 
 
 def advance(
-    progress: PathProgress, state: ChainState, limits: Limits, box: StepBox, avoidance: Avoidance | None
+    progress: PathProgress, state: ChainState, bounds: JointBounds, box: StepBox, avoidance: Avoidance | None
 ) -> Step:
     """Take a step along a path, or at its end; the step is finite, within its limits and clear.
 
     Args:
         progress: position of the arm on its path.
         state: the state of the arm.
-        limits: the limits of the step.
-        box: the steps that the limits allow.
+        bounds: the limits of the joints.
+        box: the steps that they allow.
         avoidance: the obstacles to avoid; None: none.
     """
     if progress.arrived:
         objective = progress.timed.path.objective
         candidate = reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
     else:
-        candidate = step_along(progress, state, box, limits, avoidance)
-    return _check_step(candidate, state, limits.for_arm(state.arm), box, avoidance, progress)
+        candidate = step_along(progress, state, box, bounds, avoidance)
+    return _check_step(candidate, state, bounds, box, avoidance, progress)
 
 
 TASK_DEVIATION = 0.1
@@ -576,7 +574,7 @@ def step_along(
     progress: PathProgress,
     state: ChainState,
     box: StepBox,
-    limits: Limits,
+    bounds: JointBounds,
     avoidance: Avoidance | None = None,
 ) -> CandidateStep:
     """Return the step along the path if its bounds admit it, else the closest admissible one.
@@ -588,12 +586,11 @@ def step_along(
         progress: position of the arm on its path.
         state: the state of the arm.
         box: the steps that the limits allow.
-        limits: the limits.
+        bounds: the limits of the joints.
         avoidance: the obstacles to avoid; None: none.
     """
-    objective = progress.objective
-    path = progress.path
-    bounds = limits.for_arm(state.arm)
+    path = progress.timed.path
+    objective = path.objective
     here = progress.place
     tasks = objective.task_rows(state, priority=True)
     proposal = _next_on_path(progress, state, box, bounds, tasks)
@@ -722,8 +719,8 @@ def _next_on_path(
     timed = progress.timed
     path = progress.timed.path
     here = progress.place
-    columns = progress.objective.columns
-    units = progress.objective.chain.units
+    columns = path.objective.columns
+    units = path.objective.chain.units
     if timed.profile is None:
         step = path.step_along(state, here, box.sides)
         left = step.left

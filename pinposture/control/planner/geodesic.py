@@ -287,10 +287,11 @@ class Geodesic:
         objective = self.objective(state.arm, target)
         state = state.chain_state
         model = CollisionModel(state.arm, self.scene)
-        avoidance = Avoidance(model, objective, limits.for_arm(state.arm), memory.dq, self.offset)
+        bounds = limits.for_arm(state.arm)
+        avoidance = Avoidance(model, objective, bounds, memory.dq, self.offset)
         if not (avoidance.moving or avoidance.offset is not None or avoidance.lost(state)):
             return memory.braked(limits, state)
-        box = limits.box(state, memory.dq)
+        box = bounds.box(state, memory.dq)
         cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
         return replace(memory, dq=cleared.dq, stopping=cleared.stopping)
 
@@ -332,7 +333,7 @@ class _Situation:
     @cached_property
     def box(self) -> StepBox:
         """The steps that the limits allow."""
-        return self.limits.box(self.state, self.previous)
+        return self.bounds.box(self.state, self.previous)
 
     @cached_property
     def objective(self) -> Objective:
@@ -399,7 +400,7 @@ def _go_to_goal(now: _Situation) -> Step | None:
 def _pursue_goal(now: _Situation) -> Step | None:
     if not now.direct or now.bounds.brake is None:
         return None
-    step, now.goal = pursue(now.objective, now.state, now.limits, now.memory)
+    step, now.goal = pursue(now.objective, now.state, now.bounds, now.memory)
     return now.held(step)
 
 
@@ -469,7 +470,7 @@ def _follow_path(now: _Situation) -> Step:
         step = fast_step(progress, state, now.bounds, now.previous)
         if step is not None:
             return now.remember_goal(step)
-    step = advance(progress, state, now.limits, now.box, avoidance)
+    step = advance(progress, state, now.bounds, now.box, avoidance)
     at_rest = now.previous is None or not np.any(now.previous)
     if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
         step = _explain_collision(step, avoidance, state)

@@ -80,7 +80,7 @@ class JointPath:
     @cached_property
     def positions(self) -> Array:
         """Joint positions at the start, (nv,) [rad or m]."""
-        return self.arm.positions(self.start)
+        return self.arm.difference(self.arm.origin, self.start)
 
     @cached_property
     def slopes(self) -> Array:
@@ -99,7 +99,7 @@ class JointPath:
         torques = self.arm.dynamics.gravity_torques(self.positions + self.smooth_offset(places))
         return np.asarray(np.abs(torques).max(axis=0))
 
-    @property
+    @cached_property
     def end(self) -> float:
         """The last place, N."""
         return float(len(self.offsets) - 1)
@@ -154,7 +154,7 @@ class JointPath:
     def revised(self, **changes: Any) -> JointPath:
         """Return the path with another objective or scene; cached values of the waypoints are kept."""
         other = replace(self, **changes)
-        kept = {"positions", "slopes", "configurations", "largest_held"} & vars(self).keys()
+        kept = {"positions", "slopes", "configurations", "largest_held", "end"} & vars(self).keys()
         vars(other).update({name: vars(self)[name] for name in kept})
         return other
 

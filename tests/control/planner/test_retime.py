@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -45,7 +46,7 @@ def gone(
     path: JointPath, bound: np.ndarray, brake: np.ndarray | None, most: float | np.ndarray = np.inf
 ) -> np.ndarray:
     """The places of a motion at the pace that is given, step by step until its end."""
-    bounds = pp.Limits().for_arm(path.arm)._replace(bound=bound, brake=brake)
+    bounds = replace(pp.Limits().for_arm(path.arm), bound=bound, brake=brake)
     profile = SpeedProfile(path, bounds, most)
     places = [0.0]
     speed = 0.0
@@ -224,7 +225,7 @@ def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
     path = smooth_way(rng, 70, 4)
     brake = rng.uniform(1e-4, 1e-2, 4)
     bounds = (
-        pp.Limits().for_arm(path.arm)._replace(bound=np.full(4, np.inf), brake=brake / ACCELERATION_SHARE)
+        replace(pp.Limits().for_arm(path.arm), bound=np.full(4, np.inf), brake=brake / ACCELERATION_SHARE)
     )
     profile = SpeedProfile(path, bounds)
     assert profile.steps <= 1.02 * shortest(path, profile, brake)
