@@ -21,7 +21,7 @@ from pinposture._validation import (
     require_finite,
     require_instance,
 )
-from pinposture.arm import Arm, JointLoad
+from pinposture.arm import Arm, ArmState, ChainState, JointLoad
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, warn_caller
 from pinposture.schema import quantities
@@ -88,7 +88,7 @@ class Target:
             value = getattr(self, name)
             if value is not None:
                 array = as_floats(f"target.{name}", value)
-                make_read_only(array)
+                array.flags.writeable = False
                 object.__setattr__(self, name, array)
 
     def __repr__(self) -> str:
@@ -269,8 +269,14 @@ class Target:
             InvalidValue: as `Arm.checked_start`.
         """
         require_instance("arm", arm, Arm, "an Arm")
-        state = arm.chain_at(arm.checked_start(q))
-        return cls(state.points, np.ones(arm.n_modules), q=state.q)
+        return target_at(ChainState(arm, arm.checked_start(q)), np.ones(arm.n_modules))
+
+
+def target_at(state: ArmState, weights: Array) -> Target:
+    """Return the posture of an arm at a state as a target, with weights (m,), which needs no checks."""
+    target = Target(state.points, weights, q=state.q)
+    state.arm.cache.setdefault(Target.check_numbers, WeakSet()).add(target)
+    return target
 
 
 def _warn_of_far_points(arm: Arm, points: Array) -> None:

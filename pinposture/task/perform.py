@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import require_function, require_instance, require_positive
-from pinposture.arm import Arm
+from pinposture.arm import Arm, ChainState
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
@@ -27,6 +27,7 @@ from pinposture.motion.loop import RecordedLoop, in_scene
 from pinposture.motion.run import Run
 from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.placement import Target
+from pinposture.placement.target import target_at
 from pinposture.task.keyframe import Keyframe, as_keyframes, placed
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.passage import require_passage
@@ -215,7 +216,7 @@ class ReferencePath:
         row = min(int(np.ceil(place)), self.reference.rows - 1)
         offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
         q = arm.integrate(self.reference.start, offset)
-        return Target(arm.chain_at(q).points, self.reference.weights[row], q)
+        return target_at(ChainState(arm, q), self.reference.weights[row])
 
     def remaining(self, place: float, controller: Geodesic) -> TimedPath:
         """Return the rest of the path from a place, which is a whole row."""
