@@ -35,6 +35,9 @@ Pair = tuple[str, str]
 IndexPair: TypeAlias = tuple[int, int]
 _ModelKey: TypeAlias = tuple[Scene, frozenset[str]]
 
+LATEST = "latest collision model"
+"""Key of the model in the cache of an arm that was asked for last."""
+
 MAX_MODELS = 16
 """Maximum number of collision models cached per arm."""
 
@@ -407,6 +410,10 @@ class CollisionModel:
         Raises:
             InvalidValue: not an arm or not a scene.
         """
+        if isinstance(arm, Arm):
+            latest: CollisionModel | None = arm.cache.get(LATEST)
+            if latest is not None and latest.scene is scene:  # as in nearly every cycle of a control loop
+                return latest
         require_instance("arm", arm, Arm, "an Arm")
         require_instance("scene", scene, Scene, "a Scene")
         models: RecentValues[tuple[Scene, frozenset[str]], CollisionModel] = recent_values(
@@ -417,7 +424,8 @@ class CollisionModel:
             model = super().__new__(cls)
             model._prepare(_Choice.known(arm, scene.first), scene.first, scene.moving)
             models.keep((scene.first, scene.moving), model)
-        return model._in_moment(scene)
+        arm.cache[LATEST] = latest = model._in_moment(scene)
+        return latest
 
     @staticmethod
     def prepare(arm: Arm, scene: Scene) -> None:
@@ -608,7 +616,7 @@ class CollisionModel:
         return self._closest(*self._distances.minimum(placements))
 
     def minimum_at(self, state: ArmState) -> Closest:
-        """Return the smallest distance of all pairs at a state, without computing it again for the last one.
+        """Return the smallest distance of all pairs at a state; that of the last state is known.
 
         Args:
             state: a state of the arm.
@@ -616,11 +624,10 @@ class CollisionModel:
         Raises:
             InvalidValue: a state of another arm.
         """
-        self._require_own(state)
-        chain_state = state.chain_state
         seen = self._seen  # another thread may change it
-        if seen is None or seen[0] is not chain_state:
-            seen = chain_state, self._closest(*self._distances.minimum(self._kinematics.place(state.q)))
+        if seen is None or seen[0] is not state:
+            self._require_own(state)
+            seen = state, self._closest(*self._distances.minimum(self._kinematics.place(state.q)))
             self._seen = seen
         return seen[1]
 

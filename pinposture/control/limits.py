@@ -253,7 +253,7 @@ def farthest(room: Array, brake: Array) -> Array:
     Returns:
         Steps in the direction of `room`, none longer than it, (..., nv) [rad or m].
     """
-    rooms = np.ascontiguousarray(np.atleast_2d(room), dtype=np.float64)
+    rooms = np.array(room, dtype=np.float64).reshape(-1, len(brake))
     steps = np.empty_like(rooms)
     kernels.stoppable_steps(rooms, np.array(brake, dtype=np.float64), steps)
     return steps.reshape(np.shape(room))
@@ -277,8 +277,9 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
         shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MAX_STOPPING_STEPS)) / ratio
         steps = shares[:, None] * dq
         gone = np.cumsum(steps, axis=0) - steps
-        low = np.maximum(np.minimum(farthest(rooms[0] - gone, brake), 0.0), -bound)
-        high = np.minimum(np.maximum(farthest(rooms[1] - gone, brake), 0.0), bound)
+        back, ahead = farthest(rooms[:, None] - gone, brake)
+        low = np.maximum(np.minimum(back, 0.0), -bound)
+        high = np.minimum(np.maximum(ahead, 0.0), bound)
         beyond = np.any((steps < low) | (steps > high), axis=1)
         first = int(np.argmax(beyond)) if beyond.any() else len(steps)
         found.append(steps[:first])

@@ -141,10 +141,12 @@ class RunRecord:
     def _add(self, state: ArmState) -> None:
         """Add a state."""
         self._last = state
-        self._q.append(state.q)
-        self._points.append(state.chain_state.points)
+        chain_state = state.chain_state
+        self._q.append(chain_state.q)
+        self._points.append(chain_state.points)
         self._errors.append(self._measure())
-        self._distances.append(np.inf if self._model is None else self._model.minimum_at(state).distance)
+        model = self._model
+        self._distances.append(np.inf if model is None else model.minimum_at(chain_state).distance)
 
     def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error at a state exceeds the current one, by more than rounding."""

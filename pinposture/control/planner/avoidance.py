@@ -273,7 +273,7 @@ class Avoidance:
         self._seen: tuple[ChainState, Distances] | None = None
         self._seen_sides: tuple[ChainState, Sides] | None = None
         self._seen_displaced: tuple[ChainState, Distances] | None = None
-        self._approved: tuple[Array, Array] | None = None
+        self._stops: tuple[ChainState, Array, Array | None] | None = None
         brake = bounds.brake
         # The stopping distance, this step included, is the step times half the number of braking steps.
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
@@ -505,15 +505,26 @@ class Avoidance:
         matrix = sides.matrix[near][:, self.objective.columns] * self.objective.units
         return LinearRows(root * matrix, root * wanted[near])
 
-    def stops_clear(self, state: ChainState, dq: Array) -> bool:
-        """Whether the arm keeps its margin during a step and while it then stops."""
-        stopping = self._stopping(state, dq)
-        least = self.margin - self._rounding
-        steps = np.vstack([dq, stopping])
-        if self._lowest(state, steps, least) < least or self._violates(state, steps, self.violation(state)):
-            return False
-        self._approved = dq, stopping
-        return True
+    @property
+    def still(self) -> bool:
+        """Whether obstacles rest, and the measured arm is where steps begin."""
+        return not self.moving and self.offset is None
+
+    def clear_stop(self, state: ChainState, dq: Array) -> Array | None:
+        """Return the steps that stop the arm after a step, (k, nv) [rad or m]; None if it loses its margin.
+
+        The last result is cached.
+        """
+        known = self._stops
+        if known is None or known[0] is not state or not np.array_equal(known[1], dq):
+            stopping = self._stopping(state, dq)
+            least = self.margin - self._rounding
+            steps = np.vstack([dq, stopping])
+            clear = self._lowest(state, steps, least) >= least
+            if clear and self.constrained:
+                clear = not self._violates(state, steps, self.violation(state))
+            self._stops = known = state, dq, stopping if clear else None
+        return known[2]
 
     def clear_step(self, state: ChainState, dq: Array) -> ClearStep:
         """Return the clear step closest to a wanted one, between it and braking.
@@ -527,10 +538,9 @@ class Avoidance:
             state: the state of the arm.
             dq: the wanted step, (nv,) [rad or m].
         """
-        if self._approved is not None and np.array_equal(self._approved[0], dq):
-            return ClearStep(dq, 1.0, self._approved[1])
-        if self.stops_clear(state, dq):
-            return ClearStep(dq, 1.0, self._stopping(state, dq))
+        stopping = self.clear_stop(state, dq)
+        if stopping is not None:
+            return ClearStep(dq, 1.0, stopping)
         bounds = self._bounds
         rest = np.zeros((1, len(dq)))
         rooms = bounds.edges - state.raw_positions

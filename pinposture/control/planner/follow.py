@@ -292,11 +292,13 @@ def fast_step(
     bounds: JointBounds,
     previous: Array | None,
     goal: Goal | None = None,
+    avoidance: Avoidance | None = None,
 ) -> Step | None:
-    """Take the next step on a path without obstacles in the simple case; several are computed in one call.
+    """Take the next step on a path in the simple case; several are computed in one call.
 
     Most steps are of this kind. None in all other cases, which `advance` handles: limits that cannot be kept,
-    an arm away from its expected position, the end of the path, or a path that leaves the limits.
+    an arm away from its expected position, the end of the path, a path that leaves the limits, or a step that
+    is not clear.
 
     Args:
         progress: position of the arm on its path.
@@ -304,6 +306,7 @@ def fast_step(
         bounds: the limits of the joints.
         previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
         goal: the goal for the memory.
+        avoidance: the obstacles to avoid, and constraints; None: none.
     """
     timed = progress.timed
     path = timed.path
@@ -329,6 +332,15 @@ def fast_step(
     before = ahead.errors[i]
     after = ahead.errors[i + 1]
     dq = ahead.dq[i].copy()
+    stopping = None
+    violated: tuple[str, ...] = ()
+    near: tuple[str, ...] = ()
+    if avoidance is not None:
+        stopping = avoidance.clear_stop(state, dq)
+        if stopping is None:
+            return None
+        violated = avoidance.describe_violations(state)
+        near = (path.blocked_by,) if path.blocked_by else ()
     hindered = place <= progress.place
     moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
     return Step(
@@ -336,8 +348,10 @@ def fast_step(
         objective.active,
         ahead.at_limit[i],
         error_increasing=_rises(objective, before, after),
+        violated_constraints=violated,
+        near=near,
         following_path=moved.idle_travel == 0.0,
-        memory=GeodesicMemory(dq, None, moved, goal),
+        memory=GeodesicMemory(dq, stopping, moved, goal),
     )
 
 
@@ -606,8 +620,8 @@ def step_along(
         hindered = bool(np.any((lag > MAX_LAG * progress.timed.bounds.bound)[objective.columns]))
     progress = progress.moved_to(place, bounds.travel, hindered)
     may_follow = inside and tasks is None
-    still = avoidance is not None and not avoidance.moving and avoidance.offset is None
-    if may_follow and still and avoidance is not None and avoidance.stops_clear(state, dq):
+    may_stop = may_follow and avoidance is not None and avoidance.still
+    if may_stop and avoidance is not None and avoidance.clear_stop(state, dq) is not None:
         return CandidateStep(dq, progress)  # without computing the rows of constraints
     step_bounds = StepBounds.of(objective, state, box, avoidance)
     wanted = objective.normalize(dq)

@@ -329,6 +329,7 @@ class _Situation:
             self.before is None or self.before.arrived or not self.before.timed.scheduled
         )
         self.goal: Goal | None = None
+        self._avoidance: tuple[PathProgress, Avoidance | None] | None = None
 
     @cached_property
     def box(self) -> StepBox:
@@ -340,6 +341,17 @@ class _Situation:
         """The objective of the controller for the target."""
         self.target.check(self.state.arm)
         return self.controller.objective(self.state.arm, self.target)
+
+    def avoidance(self, progress: PathProgress) -> Avoidance | None:
+        """Return what steps on a path avoid; None if the limits of the joints are all that they keep."""
+        if self._avoidance is None or self._avoidance[0] is not progress:
+            scene = self.controller.scene
+            found = None
+            if not (self.limited_only and not progress.arrived and progress.timed.is_held):
+                objective = progress.timed.path.objective
+                found = Avoidance.of(scene, objective, self.bounds, self.previous, self.controller.offset)
+            self._avoidance = progress, found
+        return self._avoidance[1]
 
     def held(self, step: Step | None) -> Step | None:
         """Return a step after which the motors hold the arm, also while it stops; None if they do not.
@@ -373,13 +385,18 @@ class _Situation:
 
 def _continue_path(now: _Situation) -> Step | None:
     before = now.before
-    if before is None or before.timed.bounds is not now.bounds or not now.limited_only:
+    if before is None or before.timed.bounds is not now.bounds or before.idle_travel >= MAX_IDLE_TRAVEL:
         return None
-    if now.bounds.effort is not None and not before.timed.is_held:
+    controller = now.controller
+    scene = controller.scene
+    path = before.timed.path
+    objective = path.objective
+    same_goal = objective.target is now.target and objective.arm is now.state.arm
+    same_limits = path.scene is scene and objective.constraints is controller.constraints
+    if not (same_goal and same_limits) or controller.tasks or (scene is not None and scene.moving):
         return None
-    objective = before.timed.path.objective
-    same = objective.target is now.target and objective.arm is now.state.arm
-    if not same or before.idle_travel >= MAX_IDLE_TRAVEL:
+    avoidance = now.avoidance(before)
+    if avoidance is not None and not avoidance.still:
         return None
     goal = None
     if now.direct and now.bounds.brake is not None:
@@ -388,7 +405,7 @@ def _continue_path(now: _Situation) -> Step | None:
             return None  # it may move; see `pursue`
         if np.any(goal.motion):
             goal = goal._replace(motion=np.zeros(now.state.arm.nv))
-    return fast_step(before, now.state, now.bounds, now.previous, goal)
+    return fast_step(before, now.state, now.bounds, now.previous, goal, avoidance)
 
 
 def _go_to_goal(now: _Situation) -> Step | None:
@@ -462,12 +479,9 @@ def _follow_path(now: _Situation) -> Step:
     progress = controller._update(state, now.target, now.limits, before)
     if before is None or progress.timed.path.start is not before.timed.path.start:
         progress = PathProgress.begin(progress.timed, now.previous)
-    objective = progress.timed.path.objective
-    avoidance = Avoidance.of(controller.scene, objective, now.bounds, now.previous, controller.offset)
-    if avoidance is not None and now.limited_only and not progress.arrived and progress.timed.is_held:
-        avoidance = None
-    if avoidance is None and progress is not before:
-        step = fast_step(progress, state, now.bounds, now.previous)
+    avoidance = now.avoidance(progress)
+    if progress is not before and (avoidance is None or avoidance.still):
+        step = fast_step(progress, state, now.bounds, now.previous, avoidance=avoidance)
         if step is not None:
             return now.remember_goal(step)
     step = advance(progress, state, now.bounds, now.box, avoidance)

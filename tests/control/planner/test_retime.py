@@ -224,8 +224,8 @@ def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
     rng = np.random.default_rng(seed)
     path = smooth_way(rng, 70, 4)
     brake = rng.uniform(1e-4, 1e-2, 4)
-    bounds = (
-        replace(pp.Limits().for_arm(path.arm), bound=np.full(4, np.inf), brake=brake / ACCELERATION_SHARE)
+    bounds = replace(
+        pp.Limits().for_arm(path.arm), bound=np.full(4, np.inf), brake=brake / ACCELERATION_SHARE
     )
     profile = SpeedProfile(path, bounds)
     assert profile.steps <= 1.02 * shortest(path, profile, brake)
