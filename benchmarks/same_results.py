@@ -109,7 +109,7 @@ def tracker(arm: pp.Arm, controller: Any, limits: pp.Limits, scene: pp.Scene | N
         controller,
         limits,
         scene,
-        interface,
+        interface=interface,
         feedback_time_constant=0.2,
         max_tracking_error=0.4,
         resync_time=0.1,
@@ -331,7 +331,7 @@ def track(
         assert goal.q is not None
         around = scene_around(arm, (begin, np.array(goal.q)), scene)
     chosen = CONTROLLERS[controller] if isinstance(controller, str) else controller
-    return of_run(pp.track(arm, goal, begin, chosen, LIMITS[limits](), around, max_steps))
+    return of_run(pp.track(arm, goal, begin, chosen, LIMITS[limits](), around, max_steps=max_steps))
 
 
 def start_of(arm: pp.Arm, name: str, kind: str, seed: int) -> Array:

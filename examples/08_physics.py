@@ -29,10 +29,10 @@ servos = Servos(frequency=10.0)
 def simulated(closed, gravity):
     """Simulate the motion, with or without feedback."""
     if not closed:  # the servos receive the motion, without feedback
-        return simulate(arm, run, servos, gravity, hold=2.0)
+        return simulate(arm, run, servos, gravity=gravity, hold=2.0)
     tracker = Tracker(arm, limits=limits)  # receives the measured positions in each cycle
     duration = run.steps * limits.dt + 2.0
-    return simulate_closed(arm, tracker, target, start, duration, limits.dt, servos, gravity)
+    return simulate_closed(arm, tracker, target, start, duration, limits.dt, servos, gravity=gravity)
 
 
 out = Path("out/physics")

@@ -53,7 +53,8 @@ def by_controller(name: str, case: dict[str, Any], known: dict[str, Any]) -> lis
     target = pp.fit_points(arm, np.array(case["target"]))
     scene = None if case["scene"] is None or name != "geodesic" else pp.Scene.from_dict(case["scene"])
     limits = pp.Limits(step=known["step_limit"])
-    run = pp.track(arm, target, np.array(case["start"]), name, limits, scene, known["max_steps"])
+    start = np.array(case["start"])
+    run = pp.track(arm, target, start, name, limits, scene, max_steps=known["max_steps"])
     return [each.round(9).tolist() for each in run.q]
 
 

@@ -35,9 +35,6 @@ Pair = tuple[str, str]
 IndexPair: TypeAlias = tuple[int, int]
 _ModelKey: TypeAlias = tuple[Scene, frozenset[str]]
 
-LATEST = "latest collision model"
-"""Key of the model in the cache of an arm that was asked for last."""
-
 MAX_MODELS = 16
 """Maximum number of collision models cached per arm."""
 
@@ -411,7 +408,7 @@ class CollisionModel:
             InvalidValue: not an arm or not a scene.
         """
         if isinstance(arm, Arm):
-            latest: CollisionModel | None = arm.cache.get(LATEST)
+            latest: CollisionModel | None = arm.cache.get(cls._in_moment)
             if latest is not None and latest.scene is scene:  # as in nearly every cycle of a control loop
                 return latest
         require_instance("arm", arm, Arm, "an Arm")
@@ -424,7 +421,7 @@ class CollisionModel:
             model = super().__new__(cls)
             model._prepare(_Choice.known(arm, scene.first), scene.first, scene.moving)
             models.keep((scene.first, scene.moving), model)
-        arm.cache[LATEST] = latest = model._in_moment(scene)
+        arm.cache[cls._in_moment] = latest = model._in_moment(scene)
         return latest
 
     @staticmethod

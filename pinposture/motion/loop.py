@@ -118,16 +118,13 @@ class RunRecord:
         self._distances: list[float] = []
         self.steps = 0
         self._add(start)
-        self._measure_progress()
+        self._best = self.posture_error
+        self._idle = 0.0
 
     def set_target(self, target: Target) -> None:
         """Replace the target, and restart measuring progress."""
         self._target = target
         self._measure()
-        self._measure_progress()
-
-    def _measure_progress(self) -> None:
-        """Measure progress from here."""
         self._best = self.posture_error
         self._idle = 0.0
 

@@ -93,6 +93,7 @@ def track(
     controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
+    *,
     max_steps: int | None = None,
     tolerance: float | None = None,
     callback: Callback | None = None,

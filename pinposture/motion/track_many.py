@@ -66,6 +66,7 @@ def track_many(
     controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
+    *,
     max_steps: int | None = None,
     tolerance: float | None = None,
     jobs: int | None = None,

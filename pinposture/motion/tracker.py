@@ -208,6 +208,7 @@ class Tracker:
         controller: str | Controller = "geodesic",
         limits: Limits | None = None,
         scene: Scene | None = None,
+        *,
         interface: Literal["position", "velocity"] = "position",
         feedback_time_constant: float = 0.25,
         max_tracking_error: float = 0.3,

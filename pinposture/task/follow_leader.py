@@ -488,6 +488,7 @@ def follow_leader(
     path: Curve,
     interval: float,
     speed: float,
+    *,
     placement: Literal["align", "as_is"] = "align",
     depth: float | None = None,
     start: ArrayLike | None = None,

@@ -298,6 +298,7 @@ def move_through(
     controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
+    *,
     q0: ArrayLike | None = None,
     continuity: Literal["velocity", "acceleration"] = "velocity",
     repeat: int = 1,

@@ -51,6 +51,7 @@ def view(
     arm: Arm,
     run: Run | Trajectory | Tracker | None = None,
     target: Target | None = None,
+    *,
     viewer: str = "meshcat",
     open_browser: bool = False,
     fps: float = 20.0,

@@ -69,11 +69,18 @@ def test_each_run_is_what_track_makes_of_it(asked: Asked, scene: pp.Scene, contr
     limits = pp.Limits(step=0.07)
     told = []
     batch = pp.track_many(
-        *asked, controller, limits, around, 40, 1e-5, jobs=1, progress=lambda *n: told.append(n)
+        *asked,
+        controller,
+        limits,
+        around,
+        max_steps=40,
+        tolerance=1e-5,
+        jobs=1,
+        progress=lambda *n: told.append(n),
     )
     assert told == [(k, 5) for k in range(1, 6)]
     runs = [
-        pp.track(arm, target, start, controller, limits, around, 40, 1e-5)
+        pp.track(arm, target, start, controller, limits, around, max_steps=40, tolerance=1e-5)
         for target, start in zip(targets, starts, strict=True)
     ]
     assert len({run.steps for run in runs}) > 1  # ragged

@@ -506,7 +506,9 @@ class Mode(NamedTuple):
 
 
 MODES = (
-    Mode("continue on the path", "the last step was on it, and nothing has changed", _continue_path),
+    Mode(
+        "continue on the path", "the last step was on it, nothing has changed, all is clear", _continue_path
+    ),
     Mode("go to the goal", "no acceleration limits, and the goal is one short step away", _go_to_goal),
     Mode("pursue the goal", "acceleration limits, and a goal nearby that moves steadily", _pursue_goal),
     Mode("return into limits", "a joint is outside its position limits", _return_into_limits),

@@ -114,14 +114,16 @@ def test_points_that_can_be_had_are_found_after_points_that_could_not(seed: int)
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("acceleration", (None, 10.0))
+@pytest.mark.parametrize("among_obstacles", (False, True))
 def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
-    seed: int, acceleration: float | None, monkeypatch: pytest.MonkeyPatch
+    seed: int, acceleration: float | None, among_obstacles: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limits = LIMITS if acceleration is None else pp.Limits(velocity=2.0, acceleration=acceleration, dt=0.02)
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
     target = Target.from_configuration(arm(), end)
-    controller = pp.Geodesic()
+    ball = pp.Sphere((0.1, 0.0, 0.9 * arm().length), 0.05)
+    controller = pp.Geodesic(scene=pp.Scene({"ball": ball}) if among_obstacles else None)
     q = start
     memory = None
     quick = geodesic.fast_step
@@ -131,7 +133,7 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
         step = controller.step(state, target, limits, memory)
         if step.reason:
             break
-        monkeypatch.setattr(geodesic, "fast_step", lambda *_: None)
+        monkeypatch.setattr(geodesic, "fast_step", lambda *_, **__: None)
         slow = controller.step(state, target, limits, memory)
         monkeypatch.setattr(geodesic, "fast_step", quick)
         bounds = limits.for_arm(arm())
