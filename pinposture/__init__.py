@@ -226,6 +226,8 @@ _PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in
 
 
 def __getattr__(name: str) -> Any:
+    if name in _PACKAGES or name in ("editor", "sim"):  # as in `pp.placement.register_module_kinematics`
+        return import_module(f"{__name__}.{name}")
     if name not in _PACKAGE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"{__name__}.{_PACKAGE_OF[name]}"), name)

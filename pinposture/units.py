@@ -1,4 +1,4 @@
-"""Lengths in words, the same in every message, figure and page."""
+"""Lengths and numbers in words, the same in every message, figure and page."""
 
 from __future__ import annotations
 
@@ -37,6 +37,11 @@ def length_text(length: float, arm_length: float = 0.0, smallest: float = SMALLE
         return f"{millimetres:.0f} mm"
     digits = f"{Decimal(f'{millimetres:.3g}'):f}"  # without an exponent
     return f"{digits} mm"
+
+
+def number_text(number: float) -> str:
+    """Return a number with four digits, or as a whole one from 10,000 to 1e9: "13110", not "1.311e+04"."""
+    return f"{number:.0f}" if 9999.5 <= abs(number) < 1e9 else f"{number:.4g}"
 
 
 def error_text(error: float, arm_length: float) -> str:

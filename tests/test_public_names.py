@@ -27,6 +27,14 @@ def test_every_name_is_there_and_known_to_type_checkers() -> None:
         _ = pp.nothing
 
 
+def test_packages_are_there_without_an_import_of_their_own() -> None:
+    code = (
+        "import pinposture as pp; print(pp.placement.__name__, pp.sim.__name__, pp.curve.Curve is pp.Curve)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["pinposture.placement", "pinposture.sim", "True"]
+
+
 def test_nothing_is_imported_before_it_is_used() -> None:
     code = "import sys, pinposture; print(*sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

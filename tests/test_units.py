@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinposture.units import error_text, length_text
+from pinposture.units import error_text, length_text, number_text
 
 
 @pytest.mark.parametrize(
@@ -27,6 +27,21 @@ from pinposture.units import error_text, length_text
 )
 def test_lengths_are_in_millimetres_below_one_metre(length, text):
     assert length_text(length) == text
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        (13112.6, "13113"),
+        (9999.7, "10000"),
+        (2332.0, "2332"),
+        (0.36981, "0.3698"),
+        (2e-7, "2e-07"),
+        (1e12, "1e+12"),
+    ],
+)
+def test_torques_of_large_arms_are_written_without_an_exponent(number, text):
+    assert number_text(number) == text
 
 
 @pytest.mark.parametrize(

@@ -220,9 +220,12 @@ class Arm(ConfigurationSpace):
 
         Raises:
             UnknownName: there is no such template.
-            InvalidValue: invalid number of modules or link lengths.
+            InvalidValue: invalid number of modules or link lengths, or a template in place of its name.
         """
         require_whole("modules", modules, 1, MOST_MOVING)
+        if isinstance(name, ModuleTemplate):
+            allowed = "the name of a shipped template; Arm.from_modules([template] * 8) takes your own"
+            raise InvalidValue("name", name, allowed)
         module = template(name)
         lengths = None
         if link_lengths is not None:
@@ -281,7 +284,8 @@ class Arm(ConfigurationSpace):
             name: robot name written into the URDF.
 
         Returns:
-            The arm, stretched along x at its neutral configuration.
+            The arm, stretched along x at its neutral configuration, where slides are at zero; `straight` has
+            them extended.
         """
         require_instance("modules", modules, Iterable, "a sequence of ModuleTemplate")
         listed = list(modules)

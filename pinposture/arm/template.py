@@ -171,7 +171,7 @@ class ModuleTemplate:
 
     @property
     def length(self) -> float:
-        """Length of the straight module [m]."""
+        """Length of the straight module with its slides at zero [m]."""
         return math.fsum((self.lead, *self.link_lengths))
 
     @property

@@ -41,7 +41,7 @@ from pinposture.schema import (
     read_within,
     refusing,
 )
-from pinposture.units import length_text
+from pinposture.units import length_text, number_text
 
 Array = NDArray[np.float64]
 
@@ -571,7 +571,8 @@ class JointLoad(NamedTuple):
         return {name: getattr(self, name) for name in ("joint", "needed", "limit", "unit", "share")}
 
     def __str__(self) -> str:
-        return f"joint {self.joint!r} needs {self.needed:.4g} of {self.limit:.4g} {self.unit}"
+        needed = number_text(self.needed)
+        return f"joint {self.joint!r} needs {needed} of {number_text(self.limit)} {self.unit}"
 
 
 def load_of(drive: Drive, torque: float, limit: float) -> JointLoad:

@@ -23,7 +23,7 @@ from pinposture.cli.inputs import (
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
 from pinposture.errors import InvalidValue, NoEquilibrium, PostureError, UnsupportedModule, enumerated
 from pinposture.storage import write_figure
-from pinposture.units import error_text, length_text
+from pinposture.units import error_text, length_text, number_text
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -343,7 +343,7 @@ def _weight_in_words(weight: Mapping[str, Any], length: float) -> dict[str, str]
         return words
     held = weight["held_out"]
     load = held["gives_up"]
-    needed = f"{load['needed']:.4g} of {load['limit']:.4g} {load['unit']}"
+    needed = f"{number_text(load['needed'])} of {number_text(load['limit'])} {load['unit']}"
     if load["share"] > 1.0:
         reach = f"{length_text(held['length'])} of {length_text(length)} towards the tip"
         words["held out"] = f"{reach}, in the worst direction; {load['joint']} gives up first ({needed})"

@@ -100,6 +100,6 @@ def require_held(arm: Arm, q: Array, limits: Limits, name: str) -> None:
     if not load.exceeded:
         return
     mass = torques.excess_payload(state)
-    less = "" if mass is None else f"; they could with {mass:.3g} kg less at the tip"
-    allowed = f"a posture that the motors can hold{less}; strict=False goes on"
+    less = "" if mass is None else f" (they could with {mass:.3g} kg less at the tip)"
+    allowed = f"a posture that the motors can hold{less}; or strict=False, to run it anyway"
     raise InvalidValue(name, str(load), allowed)

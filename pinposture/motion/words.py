@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from pinposture.placement.target import Moved
-from pinposture.units import error_text, length_text
+from pinposture.units import error_text, length_text, number_text
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str]:
@@ -270,7 +270,7 @@ def _holding(summary: Mapping[str, Any], dt: float | None = None) -> dict[str, s
     after = "at the start"
     if steps:
         after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
-    needed = f"{most['needed']:.4g} of {most['limit']:.4g} {most['unit']}"
+    needed = f"{number_text(most['needed'])} of {number_text(most['limit'])} {most['unit']}"
     return {"torque at rest": f"at most {100.0 * most['share']:.3g} % ({most['joint']} {after}, {needed})"}
 
 

@@ -56,6 +56,8 @@ def test_an_unknown_template_is_refused_with_the_nearest_name():
     assert caught.value.allowed == tuple(TEMPLATES)
     with pytest.raises(UnknownName):
         template(["RyRz"])
+    with pytest.raises(InvalidValue, match=r"Arm\.from_modules"):
+        pp.Arm.from_template(template("RyRz"), 3)
 
 
 def test_a_new_template_takes_three_lines():

@@ -19,6 +19,7 @@ from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import ProfileRows, TimedPathArrays
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -71,6 +72,10 @@ class JointPath:
     blocked_by: str = ""
     found_by: str = "relaxation"
     task_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+
+    def __repr__(self) -> str:
+        way = self.blocked_by or "clear"
+        return f"JointPath({len(self.offsets)} waypoints, {length_text(self.length)}, {self.found_by}, {way})"
 
     @property
     def arm(self) -> Arm:

@@ -138,8 +138,9 @@ def plan(
             path so far (None if there is none). The search ends if it returns True.
 
     Returns:
-        The path. If no clear path was found, `blocked_by` names what it comes too close to; `found_by` tells
-        how it was found.
+        The path. If no clear path was found, `blocked_by` names what it comes too close to; ends of the
+        path that are themselves too close, or violate constraints, do not count. `found_by` tells how it was
+        found.
 
     Raises:
         InvalidValue: an argument of the wrong type, or one that does not fit the arm.

@@ -209,6 +209,7 @@ def test_a_constraint_that_no_path_keeps_is_named_as_what_blocks_it() -> None:
     target = pp.Target.from_configuration(short, np.full(short.nq, 0.3))
     path = pp.control.plan(short.at(start), target, constraints=[Apart()])
     assert "constraint: Apart is violated by" in path.blocked_by
+    assert path.blocked_by in repr(path)
 
 
 @pytest.mark.parametrize("kind", KINDS)
