@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from pinposture.cli.inputs import (
     MOTION,
@@ -55,6 +55,7 @@ PICTURE = "postures.png"
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --direction 1,0,0",
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --scene scene.toml --count 3",
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --start straight -o out",
+    "pinposture reach arm.urdf --to 0.4,0.1,0.5 --effort 3 --objective torque",
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --seed 2 --budget 20 --json",
 )
 def run(
@@ -118,6 +119,7 @@ def run(
             seed=seed,
             budget=goal.budget,
             tolerance=read_option("--tolerance", goal_options.tolerance, Length),
+            objective=cast("Any", goal_options.objective),  # checked there
         )
     blocked_by = found[0].path.blocked_by if found[0].path else ""
     files: list[File] = []
@@ -156,6 +158,10 @@ class GoalOptions:
         str | None, TARGET("Allowed error of the tip, in metres; default: 1e-6 of the arm length.", "LENGTH")
     ] = None
     count: Annotated[int, TARGET("Number of different postures.")] = 1
+    objective: Annotated[
+        str,
+        TARGET("What postures are best: dexterity, as above, or torque: they need little of it.", "NAME"),
+    ] = "dexterity"
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_vector, require_instance, require_positive, require_whole
+from pinposture._validation import (
+    as_vector,
+    require_instance,
+    require_known,
+    require_positive,
+    require_whole,
+)
 from pinposture._validation import direction as unit_vector
 from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
@@ -22,11 +28,15 @@ from pinposture.control.limits import Limits
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
+from pinposture.control.torque_limits import TorqueLimits
 from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, raise_together
 from pinposture.placement import Target
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
+
+OBJECTIVES = ("dexterity", "torque")
+"""What postures can be chosen and improved for."""
 
 TIP_TOLERANCE = 1e-6
 """Default tolerance of the tip position, in arm lengths."""
@@ -99,8 +109,9 @@ class ReachedPosture:
         load: the joint that is loaded most, in relation to its torque limit, when the arm is held there; None
             if masses or torque limits are not known.
         score: in [0, 1]: mean of clearance (1 from a twentieth of the arm length), limit distance,
-            manipulability, and the inverse of the path ratio if there is a path. Postures with a clear path
-            rank before those without.
+            manipulability, and the inverse of the path ratio if there is a path. With the objective "torque",
+            one minus the largest share of a torque limit. Postures with a clear path rank before those
+            without.
     """
 
     q: Array
@@ -151,12 +162,14 @@ def reach(
     budget: float = 5.0,
     tolerance: float | None = None,
     limits: Limits | None = None,
+    objective: Literal["dexterity", "torque"] = "dexterity",
 ) -> tuple[ReachedPosture, ...]:
     """Find clear postures that bring the tip to a position or a pose, and the paths to them.
 
     Damped least squares bring the tip to the goal from many postures, including the start, first without
     obstacles. The postures that intrude least are pushed clear, then improved in the null space: clearance,
-    distance from joint limits, manipulability. The search is not complete: it can miss postures.
+    distance from joint limits, and manipulability or the torques that hold the arm. The search is not
+    complete: it can miss postures.
 
     Args:
         arm: the arm.
@@ -171,7 +184,10 @@ def reach(
             otherwise it is reproducible for a given seed.
         tolerance: largest distance of the tip from its goal [m]; a rotation counts as the arc at a radius of
             `Arm.characteristic_length`. A millionth of the arm length if None.
-        limits: the margin to position limits, also for the paths; `Limits()` if None.
+        limits: the margin to position limits, and the torque limits that the postures and paths keep;
+            `Limits()` if None.
+        objective: "dexterity" prefers postures in which the tip can move in all directions; "torque" those
+            in which the motors need the smallest shares of their torque limits.
 
     Returns:
         1 to `count` postures, the best first. In any two of them, some point of the arm differs by at least
@@ -181,6 +197,8 @@ def reach(
         InvalidValue: an argument of the wrong type, or one that does not fit the arm.
         OutOfReach: the goal is farther away than the arm reaches, or off the plane of a planar arm.
         ReachError: no clear posture was found; the message says how close the search came.
+        UnknownName: no such objective.
+        WeightUnknown: the objective "torque" without masses or torque limits.
     """
     began = perf_counter()
     require_instance("arm", arm, Arm, "an Arm")
@@ -188,6 +206,10 @@ def reach(
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if not (limits is None or isinstance(limits, Limits)):
         raise InvalidValue("limits", limits, "a Limits(...), or None")
+    require_known("objective", objective, OBJECTIVES)
+    if objective == "torque":
+        arm.require_masses()
+        arm.require_effort()
     require_whole("count", count, 1)
     require_whole("seed", seed, 0)
     require_positive("budget", budget)
@@ -198,7 +220,7 @@ def reach(
     first = None if start is None else arm.checked_start(start, "start")
     _check_in_reach(arm, task, allowed_error, scene)
     until = began + (budget if first is None else 0.5 * budget)
-    search = _Search(arm, task, scene, limits, allowed_error)
+    search = _Search(arm, task, scene, limits, allowed_error, objective)
     postures = search.find(first, count + SPARE, np.random.default_rng(seed), until)
     if first is None:
         return tuple(postures[:count])
@@ -209,7 +231,7 @@ def reach(
         if clear >= count or (reached and left <= 0.0):
             break
         share = max(left, 0.05 * budget) / max(count - clear, 1)
-        reached.append(_with_path(arm, posture, first, scene, limits, share))
+        reached.append(search.with_path(posture, first, share))
     reached.sort(key=lambda each: (bool(each.path and each.path.blocked_by), -each.score))
     return tuple(reached[:count])
 
@@ -356,30 +378,6 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
         raise OutOfReach(_place_of(task), f"{reason}{tolerance / arm.characteristic_length:.2g})")
 
 
-def _with_path(
-    arm: Arm, posture: ReachedPosture, start: Array, scene: Scene | None, limits: Limits, budget: float
-) -> ReachedPosture:
-    """Return the posture at the turns at which its path ends, with the path, its ratio and its score."""
-    path = plan(arm.at(start), posture.target, scene, limits, budget=budget)
-    q = arm.nearest_turns(posture.q, path.configurations[-1])
-    limit_distance = _limit_distance(arm, q)
-    score = posture.score + (limit_distance - posture.limit_distance) / 3.0
-    units = arm.joint_units
-    direct = float(np.linalg.norm(path.offsets[-1] / units))
-    length = float(np.linalg.norm(np.diff(path.offsets / units, axis=0), axis=1).sum())
-    ratio = max(length / direct, 1.0) if direct > 1e-9 else 1.0
-    q.flags.writeable = False
-    return replace(
-        posture,
-        q=q,
-        target=replace(posture.target, q=q),
-        path=path,
-        limit_distance=limit_distance,
-        path_ratio=ratio,
-        score=(3.0 * score + 1.0 / ratio) / 4.0,
-    )
-
-
 def _half_ranges(arm: Arm) -> tuple[Array, Array]:
     """Middle and half range of each joint, (nv,) [rad or m]; the latter is infinite without limits."""
     lower = np.where(arm.unlimited, 0.0, arm.limits.lower)
@@ -428,14 +426,25 @@ class _Search:
     """The search for postures with the tip at its goal."""
 
     def __init__(
-        self, arm: Arm, task: EndEffector, scene: Scene | None, limits: Limits, tolerance: float
+        self,
+        arm: Arm,
+        task: EndEffector,
+        scene: Scene | None,
+        limits: Limits,
+        tolerance: float,
+        objective: str = "dexterity",
     ) -> None:
         self.arm = arm
         self.task = task
+        self.scene = scene
+        self.limits = limits
         self.tolerance = tolerance
         self.model = None if scene is None else CollisionModel(arm, scene)
         self.margin = 0.0 if scene is None else scene.margin
-        self.edges = limits.for_arm(arm).edges
+        bounds = limits.for_arm(arm)
+        self.edges = bounds.edges
+        self.torque_limits = None if bounds.effort is None else TorqueLimits(arm, bounds.effort)
+        self.torques = TorqueLimits(arm, arm.effort) if objective == "torque" else None
         columns = arm.columns
         self.columns = columns[self.edges[1, columns] > self.edges[0, columns]]
         self.units = arm.joint_units[self.columns]
@@ -503,6 +512,31 @@ class _Search:
                     error = off
         return best, error
 
+    def with_path(self, posture: ReachedPosture, start: Array, budget: float) -> ReachedPosture:
+        """Return the posture at the turns at which its path ends, with the path, its ratio and its score."""
+        arm = self.arm
+        path = plan(arm.at(start), posture.target, self.scene, self.limits, budget=budget)
+        q = arm.nearest_turns(posture.q, path.configurations[-1])
+        limit_distance = _limit_distance(arm, q)
+        units = arm.joint_units
+        direct = float(np.linalg.norm(path.offsets[-1] / units))
+        length = float(np.linalg.norm(np.diff(path.offsets / units, axis=0), axis=1).sum())
+        ratio = max(length / direct, 1.0) if direct > 1e-9 else 1.0
+        score = posture.score
+        if self.torques is None:
+            score += (limit_distance - posture.limit_distance) / 3.0
+            score = (3.0 * score + 1.0 / ratio) / 4.0
+        q.flags.writeable = False
+        return replace(
+            posture,
+            q=q,
+            target=replace(posture.target, q=q),
+            path=path,
+            limit_distance=limit_distance,
+            path_ratio=ratio,
+            score=score,
+        )
+
     def descend(self, state: ChainState) -> ReachedPosture | None:
         """Return the clear posture found from another; None if there is none."""
         return self._judge(self._push_clear(state))
@@ -513,10 +547,9 @@ class _Search:
     def _explain_failure(self, nearest: float, intruding: int) -> str:
         if nearest > self.tolerance:
             return f"the closest posture found leaves the tip {length_text(nearest)} from its goal"
-        return (
-            f"no clear posture was found: all {intruding} postures tried violate the margin or miss the "
-            "goal; a larger budget tries more"
-        )
+        torques = "" if self.torque_limits is None else ", need more torque than there is"
+        tried = f"all {intruding} postures tried violate the margin{torques} or miss the goal"
+        return f"no clear posture was found: {tried}; a larger budget tries more"
 
     def _seeds(self, start: Array | None, first: bool, rng: np.random.Generator) -> Iterator[Array]:
         """Yield the seed postures of a wave; the first wave begins with the start."""
@@ -532,7 +565,10 @@ class _Search:
             yield arm.configuration(np.where(arm.moved > 0.0, drawn, here))
 
     def _rows(self, state: ChainState, clearance: float | None) -> _Rows:
-        """Return the rows of the tip and of the distances below a clearance [m], if one is given."""
+        """Return the rows of the tip and of the distances below a clearance [m], if one is given.
+
+        Torques count as distances from their limits.
+        """
         tip = self.task.rows(state, self.target)
         matrix = tip.jacobian
         errors = tip.error
@@ -540,6 +576,11 @@ class _Search:
             near = self.model.nearest(state, clearance)
             matrix = np.concatenate([matrix, near.jacobian])
             errors = np.concatenate([errors, clearance - near.distances])
+        if clearance is not None and self.torque_limits is not None:
+            sides = self.torque_limits.sides(state)
+            tight = sides.room < clearance
+            matrix = np.concatenate([matrix, sides.matrix[tight]])
+            errors = np.concatenate([errors, clearance - sides.room[tight]])
         return _Rows(matrix[:, self.columns] * self.units, errors, len(tip.error))
 
     def _settle(self, state: ChainState, clearance: float | None, iterations: int) -> ChainState:
@@ -604,7 +645,7 @@ class _Search:
         return state.moved(dq)
 
     def _polish(self, posture: ReachedPosture, state: ChainState) -> tuple[ReachedPosture, ChainState]:
-        """Improve clearance, distance from limits and manipulability in the null space of the tip."""
+        """Improve clearance, distance from limits and the objective in the null space of the tip."""
         wanted = self.margin + AMPLE * self.arm.length
         moved = state
         for _ in range(POLISH_ITERATIONS):
@@ -614,10 +655,13 @@ class _Search:
             inverse = np.linalg.pinv(first, rcond=1e-4)
             null = np.eye(len(self.columns)) - inverse @ first
             pull, errors = self._limit_rows(moved)
-            matrix = np.concatenate([rows.matrix[rows.tip :], pull]) @ null
-            errors = np.concatenate([rows.errors[rows.tip :], errors])
+            relief, torques = self._torque_rows(moved)
+            matrix = np.concatenate([rows.matrix[rows.tip :], pull, relief]) @ null
+            errors = np.concatenate([rows.errors[rows.tip :], errors, torques])
             gram = matrix.T @ matrix + 1e-2 * self.arm.length**2 * np.eye(len(null))
-            x = np.linalg.solve(gram, matrix.T @ errors) + MANIPULABILITY_GAIN * self._manipulability(moved)
+            x = np.linalg.solve(gram, matrix.T @ errors)
+            if self.torques is None:
+                x = x + MANIPULABILITY_GAIN * self._manipulability(moved)
             x = inverse @ left + null @ x
             if float(np.abs(x).max(initial=0.0)) < 1e-4:
                 break
@@ -625,6 +669,14 @@ class _Search:
         moved = self._push_clear(moved, CLEAR_ITERATIONS // 2)
         better = self._judge(moved)
         return (posture, state) if better is None or better.score < posture.score else (better, moved)
+
+    def _torque_rows(self, state: ChainState) -> tuple[Array, Array]:
+        """Return the rows that reduce torques, (r, n), and their errors, (r,) [m]; none if not asked for."""
+        if self.torques is None:
+            return np.empty((0, len(self.columns))), np.empty(0)
+        sides = self.torques.sides(state)
+        count = len(sides.room) // 2  # the upper bounds; the lower ones say the same of the torques
+        return sides.matrix[:count, self.columns] * self.units, self.arm.length - sides.room[:count]
 
     def _limit_rows(self, state: ChainState) -> tuple[Array, Array]:
         """Return the rows that pull joints back from their limits, (n, n), and their errors, (n,) [m]."""
@@ -666,9 +718,14 @@ class _Search:
         clearance = inf if self.model is None else self.model.minimum(q).distance
         if error > self.tolerance or clearance < self.margin or not arm.within_limits(q):
             return None
+        positions = state.raw_positions
+        if self.torque_limits is not None and self.torque_limits.violations(positions[None])[0] > 0.0:
+            return None
         limit_distance = _limit_distance(arm, q)
         index = at.ellipsoids(-1)[0].index
         score = (min(max(clearance, 0.0) / (AMPLE * arm.length), 1.0) + limit_distance + index) / 3.0
+        if self.torques is not None:
+            score = max(0.0, 1.0 - self.torques.heaviest(positions).share)
         distance = float(np.linalg.norm(at.points[-1] - _place_of(self.task)))
         q.flags.writeable = False
         target = Target(at.points, np.ones(arm.n_modules), q=q)

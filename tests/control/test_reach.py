@@ -8,11 +8,14 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
+from pinposture.errors import UnknownName, WeightUnknown
 
 MARGIN = 0.01
 RADIUS = 0.008
@@ -238,6 +241,45 @@ def test_a_posture_that_no_path_leads_to_says_so():
     for each in found:
         assert each.path is not None
         assert "wall" in each.path.blocked_by
+
+
+def gravity_shares(arm: pp.Arm, q: np.ndarray) -> np.ndarray:
+    """Torques that hold the arm in relation to its limits, by Pinocchio alone."""
+    torques = pin.computeGeneralizedGravity(arm.model, arm.model.createData(), q)
+    return np.abs(torques) / arm.effort
+
+
+@pytest.mark.long
+def test_postures_can_be_chosen_for_low_torque_and_within_torque_limits():
+    rng = np.random.default_rng(1)
+    arm = template_arm("RyRz", 10).with_payload(0.05).with_effort(0.25)
+    held = pp.Limits(effort=True)
+    usual = []
+    light = []
+    for number in range(4):
+        goal = arm.at(smooth_configuration(arm, rng, rng.uniform(0.3, 1.0))).points[-1]
+        (first,) = pp.reach(arm, goal, seed=number)
+        (second,) = pp.reach(arm, goal, seed=number, objective="torque")
+        (third,) = pp.reach(arm, goal, seed=number, limits=held)
+        usual.append(gravity_shares(arm, first.q).max())
+        light.append(gravity_shares(arm, second.q).max())
+        assert second.score == pytest.approx(max(0.0, 1.0 - light[-1]), abs=1e-9)
+        assert gravity_shares(arm, third.q).max() <= 1.0 + 1e-9
+        for found in (second, third):
+            assert np.linalg.norm(arm.at(found.q).points[-1] - goal) <= 1e-6 * arm.length
+            assert arm.within_limits(found.q)
+    assert max(usual) > 1.0
+    assert np.mean(light) < 0.8 * np.mean(usual)
+
+
+def test_an_unknown_objective_is_named(arm):
+    with pytest.raises(UnknownName, match="no objective is called 'comfort'; there are: dexterity, torque"):
+        pp.reach(arm, (0.3, 0.1, 0.1), objective="comfort")
+
+
+def test_low_torque_needs_masses_and_torque_limits(arm):
+    with pytest.raises(WeightUnknown, match="effort"):
+        pp.reach(arm, (0.3, 0.1, 0.1), objective="torque")
 
 
 @pytest.mark.parametrize(
