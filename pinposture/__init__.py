@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         plan,
         retime,
     )
+    from pinposture.control.hold import Hold, assess_hold
     from pinposture.control.reach import ReachedPosture, reach
     from pinposture.curve import Curve
     from pinposture.errors import PostureError, PostureWarning
@@ -86,6 +87,7 @@ __all__ = [
     "Feasibility",
     "Geodesic",
     "HalfSpace",
+    "Hold",
     "JointLimits",
     "JointPath",
     "JointPosture",
@@ -119,6 +121,7 @@ __all__ = [
     "Trajectory",
     "Withdrawal",
     "animate",
+    "assess_hold",
     "curve_around",
     "find_path",
     "fit_points",
@@ -160,6 +163,7 @@ _PACKAGES = {
     ),
     "control": (
         "Geodesic",
+        "Hold",
         "Controller",
         "EndEffector",
         "JointPath",
@@ -172,6 +176,7 @@ _PACKAGES = {
         "Switching",
         "Tangents",
         "TimedPath",
+        "assess_hold",
         "follow",
         "plan",
         "reach",

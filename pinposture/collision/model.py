@@ -446,6 +446,19 @@ class CollisionModel:
     def __repr__(self) -> str:
         return f"CollisionModel({len(self.bodies)} bodies, {len(self.pairs)} pairs, {self.scene})"
 
+    @property
+    def solids(self) -> list[tuple[int, Solid]]:
+        """The bodies of the arm: the joint that carries each, and the solid in the frame of that joint."""
+        turns = self._kinematics.turns
+        pairs = zip(self._objects.joints, self._objects.solids, strict=True)
+        return [(int(joint), solid.turned(turns[joint].T)) for joint, solid in pairs]
+
+    @property
+    def index_pairs(self) -> list[IndexPair]:
+        """`pairs` by their numbers: those of bodies, and behind them those of the solids of obstacles."""
+        first = self._distances.first.tolist()
+        return list(zip(first, self._distances.second.tolist(), strict=True))
+
     def _in_moment(self, scene: Scene) -> CollisionModel:
         """Return the model of the same scene with obstacles moved; the last one is cached."""
         if scene == self.scene:
@@ -497,6 +510,7 @@ class CollisionModel:
         self._model = arm.model
         self._plane = np.array(arm.plane)
         self._space = ConfigurationSpace(arm.model)
+        self._objects = choice.objects
         self._kinematics = choice.objects.kinematics
         self._arm_length = arm.length
         self._numbers = {name: [] for name in scene.obstacles}

@@ -15,7 +15,8 @@ from pinposture.arm import Arm
 from pinposture.arm.inertias import RigidBody
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.weight import Load, find_frame, rod_body
-from pinposture.collision.bodies import Shape, described_bodies
+from pinposture.collision.bodies import described_bodies
+from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, WeightUnknown
 
 Array = NDArray[np.float64]
@@ -94,7 +95,7 @@ def _solids(arm: Arm, links: tuple[str, ...]) -> tuple[dict[str, pin.Inertia], d
         bodies, unread = described_bodies(arm, tag, [name for name in links if name not in found])
         here: dict[str, pin.Inertia] = {}
         for body in bodies:
-            solid = find_frame(arm.model, body.name).placement.actInv(_solid(body.shape))
+            solid = find_frame(arm.model, body.name).placement.actInv(solid_inertia(body.shape.solid()))
             here[body.name] = here[body.name] + solid if body.name in here else solid
         broken = {name: f"link {name!r}: {reason}" for name, _, reason in unread}
         faults |= broken
@@ -102,9 +103,8 @@ def _solids(arm: Arm, links: tuple[str, ...]) -> tuple[dict[str, pin.Inertia], d
     return found, faults
 
 
-def _solid(shape: Shape) -> pin.Inertia:
-    """Return the inertia of a shape of density 1, in the frame of the shape's coordinates."""
-    solid = shape.solid()
+def solid_inertia(solid: Solid) -> pin.Inertia:
+    """Return the inertia of a convex solid of density 1, in the frame of its coordinates."""
     geometry: Any = solid.shape
     body = RigidBody(
         float(geometry.computeVolume()),

@@ -2,6 +2,7 @@
 
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Controller, Memory, Step
+from pinposture.control.hold import Hold, assess_hold
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBox
 from pinposture.control.planner.follow import GeodesicMemory, PathProgress, follow
@@ -26,6 +27,7 @@ __all__ = [
     "EndEffector",
     "Geodesic",
     "GeodesicMemory",
+    "Hold",
     "JointInterpolation",
     "JointPath",
     "JointPosture",
@@ -47,6 +49,7 @@ __all__ = [
     "TaskRows",
     "TimedPath",
     "active_set",
+    "assess_hold",
     "best_index",
     "candidate_sets",
     "controller_named",

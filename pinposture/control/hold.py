@@ -1,0 +1,174 @@
+"""How well an arm holds an object that it touches: force closure, and the largest mass within its torques.
+
+At each point of contact the arm can push within the cone of friction, here a pyramid inside of it. Forces and
+torques are linear in these pushes, so both questions are linear programs (SciPy's HiGHS).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog
+
+from pinposture._validation import length, require_instance, require_known, require_positive
+from pinposture.arm import Arm
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.solids import z_along
+from pinposture.collision.weighing import solid_inertia
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+
+EDGES = 16
+"""Edges of the pyramid in a cone of friction: it is at most 2 % narrower."""
+
+CLOSED = 1e-6
+"""Share of an equal distribution that each push has in force closure; HiGHS keeps equalities to 1e-7."""
+
+UNBOUNDED_PROGRAM = 3
+"""Status of `scipy.optimize.linprog` where there is no largest value."""
+
+
+class Hold(NamedTuple):
+    """How an arm holds an object.
+
+    Attributes:
+        points: points of contact on the object, (c, 3) [m], world frame.
+        normals: unit vectors into the object, (c, 3), world axes.
+        bodies: names of the bodies of the arm there.
+        closed: whether there is force closure: contacts that press can resist any force and torque.
+        mass: largest mass of the object that contacts and torque limits hold at rest [kg]; infinite if no
+            limit is known that bounds it, 0 if the object is not held.
+    """
+
+    points: Array
+    normals: Array
+    bodies: tuple[str, ...]
+    closed: bool
+    mass: float
+
+
+def assess_hold(
+    arm: Arm, q: ArrayLike, scene: Scene, obstacle: str, friction: float = 1.0, within: float = 1e-3
+) -> Hold:
+    """Tell how well an arm holds an obstacle that it touches or wraps around.
+
+        hold = pp.assess_hold(arm, q, scene, "can", friction=0.5)
+        hold.closed, hold.mass
+
+    It takes one point of contact for each body of the arm, the nearest, which does not resist turning about
+    its normal. Torques are those at rest, of the arm and of the object; internal forces, which squeeze, are
+    chosen as it is best. Whether the drives apply them is up to the commands.
+
+    Args:
+        arm: the arm.
+        q: its configuration, (nq,).
+        scene: the scene.
+        obstacle: name of the object, a convex obstacle of uniform density.
+        friction: coefficient of friction between arm and object.
+        within: largest distance of bodies that count as in contact [m].
+
+    Raises:
+        UnknownName: there is no such obstacle.
+        InvalidValue: an obstacle that is not convex or not bounded, or an invalid number.
+        WeightUnknown: masses of the arm that are not known.
+    """
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("scene", scene, Scene, "a Scene")
+    require_known("obstacle", obstacle, scene.obstacles)
+    shape = scene.obstacles[obstacle].geometry
+    if not (shape.convex and shape.bounded):
+        raise InvalidValue(
+            f"obstacle {obstacle!r}", scene.obstacles[obstacle], "a convex shape of finite size"
+        )
+    friction = require_positive("friction", friction, zero=True)
+    within = length("within", within, zero=True)
+    state = arm.at(arm.checked(q, "q"))
+    model = CollisionModel(arm, scene)
+    near = model.nearest(state, within)
+    chosen = [k for k, pair in enumerate(near.pairs) if pair[1] == obstacle]
+    normals = -near.normals[chosen]
+    points = near.points[chosen] + near.distances[chosen][:, None] * normals
+    bodies = tuple(near.pairs[k][0] for k in chosen)
+    joints = [model.solids[model.index_pairs[number][0]][0] for number in near.numbers[chosen]]
+    pushes = np.array([_pyramid(normal, friction) for normal in normals]).reshape(-1, EDGES, 3)
+    middle = np.array(solid_inertia(shape.solid()).lever)
+    wrenches = np.concatenate([pushes, np.cross((points - middle)[:, None], pushes)], axis=2)
+    wrenches = wrenches.reshape(-1, 6).T
+    torques = _torques(arm, state.q, joints, points, pushes)
+    held = _largest_mass(arm, state.gravity_torques, wrenches, torques)
+    return Hold(points, normals, bodies, _is_closed(wrenches), held)
+
+
+def _pyramid(normal: Array, friction: float) -> Array:
+    """Return the edges of a pyramid in the cone of friction about a normal, (EDGES, 3)."""
+    angles = 2.0 * np.pi * np.arange(EDGES) / EDGES
+    across = np.column_stack([np.cos(angles), np.sin(angles)]) @ z_along(normal)[:, :2].T
+    return np.asarray(normal + friction * across)
+
+
+def _torques(arm: Arm, q: Array, joints: list[int], points: Array, pushes: Array) -> Array:
+    """Return the torques of the motors per push at points that joints carry, (nv, c EDGES)."""
+    data = arm.model.createData()
+    pin.computeJointJacobians(arm.model, data, q)
+    columns = [np.zeros((arm.nv, 0))]
+    for joint, point, edges in zip(joints, points, pushes, strict=True):
+        whole = pin.getJointJacobian(arm.model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        whole = whole.reshape(6, arm.nv)  # of one joint it is flat
+        lever = point - data.oMi[joint].translation
+        moving = whole[:3] + np.cross(whole[3:], lever, axis=0)
+        columns.append(moving.T @ edges.T)
+    return np.concatenate(columns, axis=1)
+
+
+def _is_closed(wrenches: Array) -> bool:
+    """Return whether pushes that all take part balance, and their wrenches, (6, k), span all directions."""
+    count = wrenches.shape[1]
+    if count == 0:
+        return False
+    size = np.abs(wrenches[3:]).max() or 1.0
+    scaled = wrenches / np.repeat([1.0, size], 3)[:, None]
+    if np.linalg.matrix_rank(scaled) < 6:
+        return False
+    # The largest t for which pushes of at least t, that are 1 together, balance.
+    balance = np.column_stack([scaled, scaled.sum(axis=1)])
+    total = np.append(np.ones(count), count)
+    found = linprog(
+        -np.eye(count + 1)[-1],
+        A_eq=np.vstack([balance, total]),
+        b_eq=np.eye(7)[-1],
+        bounds=(0.0, None),
+    )
+    return bool(found.success and found.x[-1] * count > CLOSED)
+
+
+def _largest_mass(arm: Arm, holding: Array, wrenches: Array, torques: Array) -> float:
+    """Return the largest mass that pushes hold within the torques of the motors [kg].
+
+    Args:
+        arm: the arm.
+        holding: torques that hold the arm alone, (nv,) [N m or N].
+        wrenches: forces and torques on the object per push, (6, k).
+        torques: torques of the motors per push, (nv, k).
+    """
+    limited = np.isfinite(arm.effort)
+    effort = arm.effort[limited]
+    gravity = np.append(np.array(arm.model.gravity.linear), np.zeros(3))
+    count = wrenches.shape[1]
+    size = np.abs(wrenches[3:]).max(initial=0.0) or 1.0
+    scale = np.repeat([1.0, size], 3)
+    needed = np.column_stack([torques[limited], np.zeros(len(effort))])
+    found = linprog(
+        -np.eye(count + 1)[-1],
+        A_ub=np.vstack([needed, -needed]),
+        b_ub=np.concatenate([effort - holding[limited], effort + holding[limited]]),
+        A_eq=np.column_stack([wrenches, gravity]) / scale[:, None],
+        b_eq=np.zeros(6),
+        bounds=(0.0, None),
+    )
+    if found.status == UNBOUNDED_PROGRAM:
+        return float("inf")
+    return max(0.0, float(found.x[-1])) if found.success else 0.0
