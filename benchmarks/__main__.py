@@ -40,6 +40,7 @@ SCRIPTS = (
     "soak",
     "switching",
     "thesis_claims",
+    "touch",
 )
 """Modules of `benchmarks.studies` with a command line of their own."""
 

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from pinposture.errors import PostureError, PostureWarning
     from pinposture.motion import Batch, JointTrajectory, Log, Run, Tracker, Trajectory, load, save
     from pinposture.motion.identification import identify
+    from pinposture.motion.touch import Touch
     from pinposture.motion.track import track
     from pinposture.motion.track_many import track_many
     from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
@@ -117,6 +118,7 @@ __all__ = [
     "Task",
     "TimedPath",
     "TipGoal",
+    "Touch",
     "Tracker",
     "Trajectory",
     "Withdrawal",
@@ -189,6 +191,7 @@ _PACKAGES = {
         "JointTrajectory",
         "Log",
         "Run",
+        "Touch",
         "Tracker",
         "Trajectory",
         "identify",

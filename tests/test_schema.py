@@ -26,7 +26,7 @@ import pinposture as pp
 from pinposture.arm import ArmSpec, Cable, FeedSpec, Load, Weight
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.schema import mistakes_of, place_in_words, read_as
-from pinposture.sim import DriveModel, Sensing, Servos
+from pinposture.sim import ContactModel, DriveModel, Sensing, Servos
 from pinposture.task import Leader, TipGoal, Withdrawal
 
 
@@ -72,6 +72,8 @@ NEEDED: dict[type, dict[str, Any]] = {
     pp.Scene: {},
     Servos: {},
     Sensing: {},
+    ContactModel: {},
+    pp.Touch: {"threshold": 0.5},
     DriveModel: {},
 }
 IN_FILE: dict[type, dict[str, Any]] = {
@@ -124,7 +126,9 @@ SHARED = [
     (pp.HalfSpace, ("point", "normal")),
     (pp.Scan, ("center", "rotation", "point_radius")),
     (Servos, ("frequency", "damping", "torque_limits", "speed_reference", "armature", "timestep")),
-    (Sensing, ("noise", "resolution", "dropped", "latency", "period", "seed")),
+    (Sensing, ("noise", "resolution", "dropped", "latency", "period", "seed", "torque_noise")),
+    (ContactModel, ("friction", "time_constant", "damping", "masses", "allowed")),
+    (pp.Touch, ("threshold", "time_constant")),
     (DriveModel, ("lag", "friction", "stiction", "delay")),
     (pp.Scene, ("self_collision", "margin", "arm_radius", "velocities")),
 ]
@@ -245,7 +249,7 @@ def test_calls_raise_what_python_functions_raise_for_wrong_arguments(kind: type)
         kind(**needed(kind), colour="red")
     made = kind(**needed(kind))
     assert pickle.loads(pickle.dumps(made)) == made == copy.deepcopy(made)
-    if kind is not ArmSpec:  # which has dictionaries
+    if kind not in (ArmSpec, ContactModel):  # which have dictionaries
         assert hash(made) == hash(kind(**needed(kind)))
     with pytest.raises(AttributeError):
         made.colour = "red"

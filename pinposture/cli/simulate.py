@@ -19,6 +19,7 @@ from pinposture.cli.inputs import (
     SceneOption,
     read_declared,
     read_option,
+    read_pairs,
     refuse_given,
 )
 from pinposture.cli.output import (
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from pinposture.arm import Arm
     from pinposture.collision import Scene
     from pinposture.motion import JointTrajectory, Run, Trajectory
-    from pinposture.sim import Servos, Simulation
+    from pinposture.sim import ContactModel, Servos, Simulation
 
 SIMULATION = "simulation.npz"
 PICTURE = "simulation.png"
@@ -53,6 +54,7 @@ PICTURE = "simulation.png"
     "pinposture simulate out --dt 0.02 -o sim",
     "pinposture simulate out --dt 0.02 --closed --frequency 5 -o sim",
     "pinposture simulate joints.csv --urdf arm.urdf --no-gravity --json",
+    "pinposture simulate out --dt 0.02 --contact --free can=0.3 --allow can",
 )
 def run(
     *,
@@ -81,9 +83,10 @@ def run(
     joints and posture are relative to the set points of the servos; in closed loop, the errors relative to
     the target are also reported.
 
-    There are no contacts; the clearance from the scene is reported. The effort limits of the description
-    apply; those of templates are placeholders. The exit code is 0 if the arm arrived, stayed near its
-    path and was clear of the scene, 1 if not, 2 if it could not start or be saved.
+    The clearance from the scene is reported; with --contact, the arm and the obstacles collide, and the first
+    touch is. The effort limits of the description apply; those of templates are placeholders. The exit code
+    is 0 if the arm arrived, stayed near its path and was clear of the scene, or touched only what it may; 1
+    if not, 2 if it could not start or be saved.
     """
     from pinposture.arm.mjcf import load_mujoco
     from pinposture.collision import Scene
@@ -109,6 +112,7 @@ def run(
                 scene=surroundings,
                 tolerance=settings.tolerance,
                 compensate=settings.compensate,
+                contact=settings.contact,
             )
     files, failure = write_files([] if output is None else simulation_files(simulation, output))
     summary = simulation.summary()
@@ -128,6 +132,7 @@ class Settings(NamedTuple):
     hold: float
     tolerance: float | None
     compensate: bool
+    contact: ContactModel | None
 
 
 @dataclass(frozen=True)
@@ -163,6 +168,27 @@ class SimulationOptions:
             "Final mean point error that counts as arrived, in metres; default: 1 % of the length.", "LENGTH"
         ),
     ] = None
+    contact: Annotated[
+        bool, MOTION("Let the arm, the obstacles of the scene and free ones collide.", flags="--contact")
+    ] = False
+    friction: Annotated[
+        str | None, MOTION("{sim.ContactModel.friction}; with --contact, 1 by default.", "NUMBER")
+    ] = None
+    free: Annotated[
+        list[str] | None,
+        MOTION(
+            "Mass of an obstacle that is free to move, in kg or with a unit, with --contact: can=0.3. May be "
+            "repeated.",
+            "NAME=MASS",
+        ),
+    ] = None
+    allow: Annotated[
+        list[str] | None,
+        MOTION(
+            "A body or obstacle whose contact with the arm is no fault, with --contact. May be repeated.",
+            "NAME",
+        ),
+    ] = None
 
     def read(self) -> Settings:
         """Return the settings; raise a `PostureError` for a value that is refused."""
@@ -174,7 +200,25 @@ class SimulationOptions:
         near = read_option("--tolerance", self.tolerance, Length)
         given = {"frequency": self.frequency, "torque_limits": not self.no_torque_limits}
         servos = read_declared(Servos, given)
-        return Settings(servos, not self.no_gravity, cycle, hold, near, self.compensate)
+        contact = self._read_contact()
+        return Settings(servos, not self.no_gravity, cycle, hold, near, self.compensate, contact)
+
+    def _read_contact(self) -> ContactModel | None:
+        from pinposture.schema import quantity
+        from pinposture.sim import ContactModel
+
+        if not self.contact:
+            without = {"--friction": self.friction, "--free": self.free, "--allow": self.allow}
+            refuse_given(without, "nothing without --contact")
+            return None
+        allowed = "NAME=MASS, such as can=0.3, each name once"
+        masses = {
+            name: read_option("--free", mass, Annotated[float, quantity("mass", above=0.0)])
+            for name, mass in read_pairs("--free", self.free, allowed).items()
+        }
+        given = {"friction": self.friction, "masses": masses, "allowed": self.allow}
+        model: ContactModel = read_declared(ContactModel, given)
+        return model
 
 
 def simulation_files(simulation: Simulation, directory: Path) -> list[File]:
@@ -245,6 +289,7 @@ def _simulate_closed(
         progress=progress,
         scene=scene,
         tolerance=settings.tolerance,
+        contact=settings.contact,
     )
 
 

@@ -16,6 +16,7 @@ from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.log import Log
 from pinposture.motion.ros import write_bag, write_goal
 from pinposture.motion.run import Run
+from pinposture.motion.touch import Touch
 from pinposture.motion.track import track
 from pinposture.motion.track_many import track_many
 from pinposture.motion.tracker import Report, Tracker
@@ -35,6 +36,7 @@ __all__ = [
     "Run",
     "Tendon",
     "Timing",
+    "Touch",
     "Tracker",
     "Trajectory",
     "identify",

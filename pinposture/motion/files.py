@@ -95,7 +95,9 @@ def unpack(
         part = next((each for each in kinds if hasattr(each, "from_dict") or is_dataclass(each)), None)
         if name in without:
             continue
-        if _is_array(kinds):
+        if part is not None and name in about and about[name] is None:
+            values[name] = None
+        elif _is_array(kinds):
             array = arrays.get(stored) if type(None) in kinds else arrays[stored]
             values[name] = array if array is None or array.ndim else array.item()
         elif get_origin(kinds[0]) is Mapping:
@@ -107,8 +109,7 @@ def unpack(
             if name in about:
                 values[name] = read_plain(_hints(kind)[name], about[name], name)
         elif hasattr(part, "from_dict"):
-            described = about[name]
-            values[name] = None if described is None else part.from_dict(described)
+            values[name] = part.from_dict(about[name])
         elif _has_arrays(part):
             values[name] = part(**unpack(part, about, arrays, f"{stored}_"))
         else:

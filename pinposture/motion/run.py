@@ -210,6 +210,15 @@ class Outcome:
         """Limits that the motion exceeds; None if there are none."""
         raise NotImplementedError
 
+    def scene_in(self, row: int, scene: Scene) -> Scene:
+        """Return a scene in a row of the motion, given that at the start, in which obstacles may be free."""
+        return scene
+
+    @property
+    def touched(self) -> tuple[str, ...] | None:
+        """Clauses on contact that was not allowed; None if contact was not simulated."""
+        return None
+
     @cached_property
     def heaviest(self) -> Heaviest | None:
         """The joint that is loaded most, in relation to its limit, if the arm held still on the way.
@@ -247,8 +256,9 @@ class Outcome:
         It did not converge, it exceeds a velocity, acceleration or jerk limit, a simulated arm left its path,
         a joint has not the torque to hold the arm still on the way, or bodies penetrate each other. Without a
         scene, the parts of the arm must not penetrate each other either; with self-collision off in the
-        scene, they may. Torques count where masses and limits are known. Where masses and stiffness are, the
-        arm must be clear and stable as it sags, too.
+        scene, they may. Where contact is simulated, that which is not allowed counts instead. Torques count
+        where masses and limits are known. Where masses and stiffness are, the arm must be clear and stable as
+        it sags, too.
         """
         if self.converged:
             return self._faults_before_end
@@ -270,6 +280,8 @@ class Outcome:
         found = [] if self.excess is None else [self.excess.text]
         if self.heaviest is not None and self.heaviest.load.exceeded:
             found.append(str(self.heaviest))
+        if self.touched is not None:
+            return (*found, *self.touched)
         deepest = find_penetration(self)
         if deepest is not None:
             found.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
@@ -387,13 +399,17 @@ def smallest_distance(motion: Outcome) -> Closest:
     if motion.scene is None:
         return _minimum_in(motion, arm_alone(motion.arm))
     row = int(motion.clearance.argmin())
-    pair = CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair
+    pair = CollisionModel(motion.arm, motion.scene_in(row, motion.scene)).minimum(motion.q[row]).pair
     return Closest(float(motion.clearance[row]), pair)
 
 
 def _minimum_in(motion: Outcome, scene: Scene) -> Closest:
     """Return the smallest distance in a scene at the rows of a motion."""
     arm = motion.arm
+    scenes = [motion.scene_in(row, scene) for row in range(len(motion.q))]
+    if scenes[-1] is not scene:
+        found = [CollisionModel(arm, at).minimum(q) for at, q in zip(scenes, motion.q, strict=True)]
+        return min(found, key=lambda each: each.distance)
     start = motion.q[0]
     offsets = np.array([arm.difference(start, q) for q in motion.q])
     return CollisionModel(arm, scene).minimum_along(start, offsets)

@@ -39,6 +39,7 @@ from pinposture.motion.feedback import Feedback, FeedbackState, read_start
 from pinposture.motion.loop import Loop, describe_binding_limits, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities
 from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
+from pinposture.motion.touch import Touch, TouchDetector, read_torques
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
 from pinposture.units import length_text
@@ -72,7 +73,8 @@ class Report(NamedTuple):
     Attributes:
         status: "moving", "converged" (the measured arm has the target posture, as far as the noise of the
             measurements tells), "stalled" (no step reduces the error, or a joint stays short of its target),
-            "holding" (braking or at rest, as an input is missing or invalid, or a path is not planned yet) or
+            "holding" (braking or at rest, as an input is missing or invalid, a path is not planned yet, or
+            something touched the arm, to which it may give way) or
             "evading" (the same, but it moves to keep clear of obstacles that approach, or to which the
             measured arm has lost the margin).
         reason: why it is stalled, holding or evading; else empty.
@@ -194,12 +196,14 @@ class Tracker:
             by lag * velocity + friction * its sign, so that the arm is where the motion is, and feedback only
             corrects the rest. The motion of the arm keeps the limits; what is sent can exceed those of
             velocity and acceleration where the motion turns. Only for the position interface.
+        touch: how the tracker notices from measured torques that something touches the arm, and whether the
+            arm then stops or gives way; None: it does not.
 
     Raises:
         InvalidValue: limits without dt, a number that is not positive, or `compensate` or `drives`
             with velocities.
-        WeightUnknown: `compensate` without masses or stiffness.
-        UnknownName: no such controller, interface or place of planning.
+        WeightUnknown: `compensate` without masses or stiffness, `touch` without masses.
+        UnknownName: no such controller, interface or place of planning, or joint with a threshold of touch.
     """
 
     def __init__(
@@ -218,6 +222,7 @@ class Tracker:
         planning: Literal["process", "thread"] = "process",
         compensate: bool = False,
         drives: DriveModel | None = None,
+        touch: Touch | None = None,
     ) -> None:
         require_instance("arm", arm, Arm, "an Arm")
         period = cycle_of(limits)
@@ -247,6 +252,7 @@ class Tracker:
         self._sag = SagCompensation(arm, limits) if compensate else None
         self._shared: tuple[Limits, Limits] | None = None
         self._drives = drives
+        self._touch = None if touch is None else TouchDetector(arm, touch)
         controller, self.scene = in_scene(controller_named(controller), scene)
         steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
@@ -413,6 +419,8 @@ class Tracker:
         """
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
         self._feedback.restart(read_start(self.arm, q_measured), moved is not None)
+        if self._touch is not None:
+            self._touch.restart()
         self._loop.memory = None if moved is None else Memory(moved)
         self._dt = self._period
         self._smoothing.restart(moved)
@@ -428,6 +436,7 @@ class Tracker:
         dt: float | None = None,
         points: ArrayLike | None = None,
         scene: Scene | None = None,
+        torques: ArrayLike | Mapping[str, float] | None = None,
     ) -> Array:
         """Compute the step of a control cycle.
 
@@ -443,6 +452,9 @@ class Tracker:
             scene: the current obstacles, from `Scene.moved`; None: those of the previous cycle, moved on by
                 their velocities. Velocities that a scene does not tell are those of the last scenes: from the
                 third pose on, and as far as their noise allows.
+            torques: the measured torques of the drives at `q_measured`, by joint name as the efforts of a
+                JointState, or in the order of `Arm.drives`, (nv,) [N m or N]; for `touch`. None or not finite
+                if they are missing.
 
         Returns:
             The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide it by the cycle
@@ -476,6 +488,7 @@ class Tracker:
             self._rates.restart()
             self._restart_compensation()
         self._age += passed
+        self._feel(feedback, torques, passed)
         self._judge_arrival(feedback, dt)
         self._watch_clearance()
         self._displace_tasks(dt)
@@ -494,6 +507,16 @@ class Tracker:
         self.report = report._replace(time=taken, overran=taken > self._period)
         self.overruns += self.report.overran
         return np.array(sent)
+
+    def _feel(
+        self, feedback: FeedbackState, torques: ArrayLike | Mapping[str, float] | None, dt: float
+    ) -> None:
+        """Watch the measured torques of a cycle for contact."""
+        felt = read_torques(self.arm, torques)
+        if self._touch is None:
+            return
+        usable = feedback.tracking_error is not None and not feedback.reason
+        self._touch.update(self._feedback.measured if usable else None, felt, dt)
 
     def _lead_drives(self, velocities: Array) -> None:
         """Lead the drives to joint velocities (nv,) [rad/s or m/s], within the limits of positions."""
@@ -530,21 +553,27 @@ class Tracker:
         loop = self._loop
         self._begin_cycle(dt)
         step = None
-        reason = feedback.reason or self._target_problem()
+        touch = self._touch
+        stopped = feedback.reason or ("" if touch is None else touch.reason)
+        reason = stopped or self._target_problem()
         compensated = None
         if not reason and self._former is not None:
             reason = BRAKES_FIRST
         if not reason and self._pursuit.lasting:
             reason = self._describe_blockage("it has come no closer to its target", self._pursuit)
-        aim = feedback.held
+        rest = feedback.held
+        if touch is not None and touch.yields and not feedback.reason:
+            there = self.arm.integrate(self._feedback.command, touch.way(loop.limits))
+            rest = Target.from_configuration(self.arm, there)
+        aim = rest
         if self._target is not None and not reason and not self._rests:
             aim = compensated = self._feedback.compensate(self._target)
         if feedback.state is not None:
             loop.start_at(feedback.state)
             if aim is not None:
                 step, computed = self._compute(aim)
-                reason = feedback.reason or computed
-        if step is not None and (not reason or aim is feedback.held):
+                reason = stopped or computed
+        if step is not None and (not reason or aim is rest):
             loop.memory = step.memory
             return Decision(step, step.dq, reason, compensated, False)
         held, evading = self._hold(feedback.state is not None and not feedback.reason)
@@ -763,7 +792,8 @@ class Tracker:
         compensated = decision.compensated
         if decision.step is not None and self._smoothing.moving and not feedback.reason:
             reason = ""  # the jerk filter has not settled yet
-        stalled = (decision.step is not None or self._pursuit.lasting) and not feedback.reason
+        touched = self._touch is not None and bool(self._touch.reason)
+        stalled = (decision.step is not None or self._pursuit.lasting) and not (feedback.reason or touched)
         stopped = "evading" if decision.evading else "stalled" if stalled else "holding"
         status = stopped if reason else "moving"
         aimed = compensated is not None or (self._rests and not self._target_problem())

@@ -215,6 +215,8 @@ def _of_simulation(summary: Mapping[str, Any]) -> dict[str, str]:
         words["target"] = f"mean error at the end {length_text(summary['target_error']['end'], length)}"
     if summary["clearance"] is not None:
         words["clearance"] = _closest(summary["clearance"], summary["dt"])
+    if summary["contact"] is not None:
+        words["first touch"] = _first_touch(summary["contact"])
     for kind in ("torque", "force"):
         most = summary[f"largest_{kind}"]
         if most is not None:
@@ -230,6 +232,18 @@ def _of_simulation(summary: Mapping[str, Any]) -> dict[str, str]:
             f"{abs(nearest['value']):.4g} of {nearest['limit']:.4g} {nearest['unit']})"
         )
     return words
+
+
+def _first_touch(contact: Mapping[str, Any]) -> str:
+    """Return what the arm touched first, and how hard, as `ContactHistory.summary` tells it."""
+    first = contact["first_touch"]
+    if first is None:
+        return "none"
+    pairs = sum(each["of_arm"] for each in contact["all"])
+    others = f"; {pairs} pairs touched in all" if pairs > 1 else ""
+    slid = f", slid {length_text(first['slip'])}" if first["slip"] > 0.0 else ""
+    how = f"at {first['speed']:.3g} m/s, up to {first['force']:.3g} N{slid}"
+    return f"{' to '.join(first['pair'])} at {first['time']:.4g} s, {how}{others}"
 
 
 def _closest(clearance: Mapping[str, Any], dt: float | None = None) -> str:

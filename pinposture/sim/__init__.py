@@ -1,7 +1,8 @@
-"""Simulate an arm with masses, servos and gravity in MuJoCo; needs the extra `[sim]`."""
+"""Simulate an arm with masses, servos, gravity and contact in MuJoCo; needs the extra `[sim]`."""
 
 from pinposture.arm.mjcf import MujocoMissing
 from pinposture.motion.drive_response import DriveModel
+from pinposture.sim.contact import ContactEvent, ContactHistory, ContactModel
 from pinposture.sim.control_loop import (
     AnyMotion,
     SetPoints,
@@ -17,6 +18,9 @@ from pinposture.sim.simulation import Simulation
 
 __all__ = [
     "AnyMotion",
+    "ContactEvent",
+    "ContactHistory",
+    "ContactModel",
     "DriveModel",
     "Drives",
     "Gains",

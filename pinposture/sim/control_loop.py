@@ -14,6 +14,7 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Run, Tracker, Trajectory
 from pinposture.placement import Target
+from pinposture.sim.contact import ContactModel
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
 from pinposture.sim.simulation import END_TOLERANCE, Simulation, describe_saturation
@@ -95,7 +96,10 @@ class StreamingController(Protocol):
         """Replace the target."""
 
     def step(self, q_measured: ArrayLike | None, dt: float | None = None) -> Array:
-        """Return the joint step of a cycle, (nv,); `q_measured` is None without a measurement."""
+        """Return the joint step of a cycle, (nv,); `q_measured` is None without a measurement.
+
+        Where `Sensing` measures torques, it also gets `torques`, those of the drives, (nv,) [N m or N].
+        """
 
     @property
     def command(self) -> Array:
@@ -114,6 +118,7 @@ def simulate(
     scene: Scene | None = None,
     tolerance: float | None = None,
     compensate: bool = False,
+    contact: ContactModel | None = None,
 ) -> Simulation:
     """Send a motion to the servos of an arm (open loop).
 
@@ -128,19 +133,23 @@ def simulate(
         dt: duration of a control cycle [s], if the motion has none.
         hold: minimum time for which the last set point is held [s].
         progress: called after each cycle.
-        scene: obstacles for the clearance of the arm; None: those of the run or motion.
+        scene: obstacles for the clearance of the arm, and that it can touch; None: those of the run or
+            motion.
         tolerance: mean distance of the control points from the last posture that counts as arrived [m];
             None: 1 % of the arm length. On the way five times as much is allowed, at least 5 % of the length.
         compensate: whether the servos are sent the commands for which the loaded arm makes the motion
             (`Arm.compensate`). The arm then starts as it is held, and the postures of the motion are its
             targets: it arrives at the last of them.
+        contact: how the arm and obstacles touch; None: nothing does, and only clearances are recorded.
 
     Returns:
         The recorded motion. Its status is "converged" if the arm is within the tolerance at the end,
         otherwise "missed". The simulation ends early with "unstable" if a joint exceeds the speed `RUNAWAY`.
 
     Raises:
-        InvalidValue: the arm cannot be simulated, or the motion does not fit it.
+        InvalidValue: the arm cannot be simulated, or the motion does not fit it; with contact, as
+            `build_plant_model`.
+        UnknownName: as `build_plant_model`.
         MujocoMissing: MuJoCo is not installed.
         URDFError: the description of the arm cannot be simulated.
         PostureError: with `compensate`, as `JointTrajectory.compensated`.
@@ -148,6 +157,7 @@ def simulate(
     require_positive("hold", hold, zero=True)
     require_function("progress", progress)
     require_instance("compensate", compensate, bool, "True or False")
+    require_instance("contact", contact, ContactModel | None, "a ContactModel, or None")
     if compensate and servos is not None and servos.gravity_compensation:
         raise InvalidValue("compensate", True, "False with servos that compensate gravity by torques")
     if compensate and gravity is not True:
@@ -169,7 +179,7 @@ def simulate(
         between = np.concatenate([asked[:1], (asked[1:] + asked[:-1]) / 2.0])
         targets = [Target.from_configuration(arm, arm.configuration(row)) for row in between]
     rows = arm.drives.positions(sent)
-    model = build_plant_model(arm, servos, gravity)
+    model = build_plant_model(arm, servos, gravity, scene=scene, contact=contact)
     plant = Plant(model, arm.drives.positions(asked[0]), period, rows[0])
     recording = Recording(plant, targets[0])
     for number, (row, target) in enumerate(zip(rows[1:], targets[1:], strict=True), start=1):
@@ -194,6 +204,7 @@ def simulate_closed(
     progress: Progress | None = None,
     scene: Scene | None = None,
     tolerance: float | None = None,
+    contact: ContactModel | None = None,
 ) -> Simulation:
     """Drive an arm with a controller that uses position feedback (closed loop).
 
@@ -210,23 +221,27 @@ def simulate_closed(
         dt: duration of a control cycle [s].
         servos: the servos; None: `Servos()`.
         gravity: whether there is gravity, or its acceleration, (3,) [m/s^2], world frame.
-        sensing: the joint position sensors; None: ideal ones.
+        sensing: the joint sensors; None: ideal ones, of positions alone.
         progress: called after each cycle.
-        scene: obstacles for the clearance of the arm; None: no obstacles.
+        scene: obstacles for the clearance of the arm, and that it can touch; None: no obstacles.
         tolerance: mean distance of the control points from the last target that counts as arrived [m]; None:
             1 % of the length.
+        contact: as in `simulate`.
 
     Returns:
         The recorded motion, with a status as in `simulate`.
 
     Raises:
-        InvalidValue: the arm cannot be simulated, or a start, duration or command is invalid.
+        InvalidValue: the arm cannot be simulated, or a start, duration or command is invalid; with contact,
+            as `build_plant_model`.
+        UnknownName: as `build_plant_model`.
         MujocoMissing: MuJoCo is not installed.
         URDFError: the description of the arm cannot be simulated.
     """
     require_positive("duration", duration)
     require_function("progress", progress)
     require_positive("dt", dt)
+    require_instance("contact", contact, ContactModel | None, "a ContactModel, or None")
     if tolerance is not None:
         require_positive("tolerance", tolerance)
     start = arm.checked_start(q0, "q0")
@@ -248,19 +263,21 @@ def simulate_closed(
     if isinstance(tracker, Tracker) and tracker.compensates:  # the arm is at rest on its springs
         command = arm.compensate(start)
     positions = drives.positions(begin + arm.difference(start, command))
-    plant = Plant(build_plant_model(arm, servos, gravity), drives.positions(begin), dt, positions)
+    model = build_plant_model(arm, servos, gravity, scene=scene, contact=contact)
+    plant = Plant(model, drives.positions(begin), dt, positions)
     recording = Recording(plant, at(0.0))
     sensors = Sensors(Sensing() if sensing is None else sensing)
     cycles = max(1, int(np.ceil(duration / dt - 1e-9)))
     arrived = 0
     done = 0
     for done in range(1, cycles + 1):
-        measured = sensors.measure(recording.plant.positions)
+        measured = sensors.measure(recording.plant.positions, recording.plant.torques)
+        felt = {} if sensors.torques is None else {"torques": sensors.torques}
         arrived += measured is not None
         tracker.update(at((done - 1) * dt))
         if arrived:  # until the first measurement arrives, the servos hold the start
             q = None if measured is None else arm.configuration(drives.joint_positions(measured))
-            tracker.step(q, dt)
+            tracker.step(q, dt, **felt)
             following = arm.checked(tracker.command, f"{type(tracker).__name__}.command")
             positions = positions + drives.velocities(arm.difference(command, following))
             command = following
@@ -309,10 +326,12 @@ class Recording:
         q = np.array([arm.configuration(row) for row in arm.drives.joint_positions(positions)])
         commanded_points = np.array([arm.at(row).points for row in commanded])
         points = np.array([arm.at(row).points for row in q])
+        contacts = None if plant.contacts is None else plant.contacts.history()
         clearance = np.full(len(q), np.inf)
         if scene is not None:
-            collisions = CollisionModel(arm, scene)
-            clearance = np.array([collisions.minimum(row).distance for row in q])
+            moved = [scene if contacts is None else contacts.scene_in(row, scene) for row in range(len(q))]
+            found = (CollisionModel(arm, at).minimum(row) for at, row in zip(moved, q, strict=True))
+            clearance = np.array([closest.distance for closest in found])
         goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
         error = goal.mean_distance(points[-1])
         tolerance = END_TOLERANCE * arm.length if tolerance is None else tolerance
@@ -349,6 +368,7 @@ class Recording:
             warnings=model.warnings,
             scene=scene,
             tolerance=tolerance,
+            contacts=contacts,
         )
 
 

@@ -2,8 +2,8 @@
 
 The model of the arm contains only the joints of its chain. The simulation also needs the joints that servos
 hold in place, so Pinocchio reads the whole description again. Each joint of that model becomes a MuJoCo body
-with one hinge or slide. There are no shapes and no contacts. Servos control positions with velocity feedback;
-their gains follow from the inertias, and actuators saturate.
+with one hinge or slide. Shapes are added only where contact is simulated (`pinposture.sim.contact`). Servos
+control positions with velocity feedback; their gains follow from the inertias, and actuators saturate.
 """
 
 from __future__ import annotations
@@ -31,9 +31,12 @@ from pinposture.arm.mjcf import load_mujoco
 from pinposture.arm.model_builder import build_model
 from pinposture.arm.urdf import load_text, read_inertials, text_for_pinocchio
 from pinposture.arm.weight import NOTHING, REMEDY, add_masses, effort_limits, scaled
+from pinposture.collision import Scene
+from pinposture.collision.model import effective_scene
 from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
 from pinposture.schema import CheckedBy, Declared, Flag, checked_number, declared, quantity
+from pinposture.sim.contact import ContactModel, add_contact
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -207,6 +210,8 @@ class PlantModel:
         gains: stiffness and damping of the servos, (n,) each.
         torque_limits: torque or force limit of each servo, (n,) [N m or N]; infinite without a limit.
         warnings: messages about what was corrected or left out.
+        contact: how things touch; None: there is no contact. Behind the n joints, `model` then has those of
+            free obstacles.
     """
 
     arm: Arm
@@ -220,39 +225,50 @@ class PlantModel:
     gains: Gains
     torque_limits: Array
     warnings: tuple[str, ...]
+    contact: ContactModel | None = None
 
     def positions(self, driven: Array) -> Array:
         """Return the positions of all joints, (n,), for those of the driven joints, (nv,) [rad or m]."""
         return np.asarray(self.rest + self.of_arm @ driven)
 
 
-def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | ArrayLike = True) -> PlantModel:
+def build_plant_model(
+    arm: Arm,
+    servos: Servos | None = None,
+    gravity: bool | ArrayLike = True,
+    *,
+    scene: Scene | None = None,
+    contact: ContactModel | None = None,
+) -> PlantModel:
     """Build the MuJoCo model of an arm.
 
-    There are no contacts. Joint limits, damping and friction are those of the description.
+    Joint limits, damping and friction are those of the description.
 
     Args:
         arm: the arm, created from a URDF or from modules.
         servos: its servos; None: `Servos()`.
         gravity: whether there is gravity, that of the arm, or its acceleration, (3,) [m/s^2], world frame.
+        scene: what the arm can touch, if there is contact; None: itself.
+        contact: how things touch; None: there is no contact.
 
     Raises:
-        InvalidValue: an arm from `Arm.from_model`, or invalid gravity.
+        InvalidValue: an arm from `Arm.from_model`, or invalid gravity; with contact also an obstacle that is
+            not convex, or an arm with coupled joints, which MuJoCo's contacts do not move.
+        UnknownName: a mass or an allowed contact of something that does not exist.
         MujocoMissing: MuJoCo is not installed.
         URDFError: an inertia in the description is not a number, MuJoCo rejects the model, or its control
             points differ from those of the arm.
     """
     mujoco = load_mujoco()
     servos = Servos() if servos is None else servos
-    if isinstance(gravity, (bool, np.bool_)):
-        acceleration = np.array(arm.model.gravity.linear) if gravity else np.zeros(3)
-    else:
-        acceleration = finite_vector("gravity", gravity, 3)
+    acceleration = _acceleration(arm, gravity)
     complete, source = _complete_model(arm)
     add_masses(complete, arm.added)
     bodies, corrections = _rigid_bodies(complete)
     drives = arm.drives
     followers = _followers(arm)
+    if followers and contact is not None:
+        raise InvalidValue("contact", contact, "None for an arm with coupled joints")
     if followers and np.any(complete.upperDryFrictionLimit > 0.0):
         corrections = (*corrections, "dry friction of joints is ignored, because joints are coupled")
     for message in corrections:
@@ -276,13 +292,9 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]
     columns = np.array([dofs[name] for name in drives.names], dtype=np.intp)
     effort[columns] = arm.effort / np.abs(drives.ratios)
-    leading = np.ones(model.nv, dtype=np.bool_)
-    coupling = np.eye(model.nv)
     for each in followers:
-        leading[dofs[each.joint]] = False
         rest[dofs[each.joint]] = each.offset
-        coupling[dofs[each.joint], dofs[each.leader]] = each.ratio
-    coupling = coupling[:, leading]
+    leading, coupling = _independent(followers, dofs)
     effort[~leading] = math.inf
     sites = np.array([model.site(f"point_{k}").id for k in range(arm.n_modules)], dtype=np.intp)
     data = mujoco.MjData(model)
@@ -297,6 +309,9 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     units = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, arm.characteristic_length, 1.0)
     least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
     servos, gains = _tuned(servos, arm, matrices, np.abs(coupling).T @ least, own)
+    if contact is not None:
+        add_contact(spec, arm, effective_scene(arm, scene), contact)
+        model = _compiled_again(spec, model)
     return PlantModel(
         arm=arm,
         servos=servos,
@@ -309,7 +324,33 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         gains=Gains(*(_spread(values, leading) for values in gains)),
         torque_limits=servos.limits(effort),
         warnings=corrections,
+        contact=contact,
     )
+
+
+def _independent(followers: list[Coupling], dofs: dict[str, int]) -> tuple[NDArray[np.bool_], Array]:
+    """Return which joints follow no other, (n,), and the motion of all per motion of these, (n, i)."""
+    leading = np.ones(len(dofs), dtype=np.bool_)
+    coupling = np.eye(len(dofs))
+    for each in followers:
+        leading[dofs[each.joint]] = False
+        coupling[dofs[each.joint], dofs[each.leader]] = each.ratio
+    return leading, coupling[:, leading]
+
+
+def _compiled_again(spec: Any, before: Any) -> Any:
+    """Return the `mujoco.MjModel` of a specification to which shapes were added, with the same joints."""
+    model = spec.compile()
+    model.dof_damping[: before.nv] = before.dof_damping
+    model.dof_frictionloss[: before.nv] = before.dof_frictionloss
+    return model
+
+
+def _acceleration(arm: Arm, gravity: bool | ArrayLike) -> Array:
+    """Return the gravitational acceleration, (3,) [m/s^2], as `build_plant_model` takes it."""
+    if isinstance(gravity, (bool, np.bool_)):
+        return np.array(arm.model.gravity.linear) if gravity else np.zeros(3)
+    return finite_vector("gravity", gravity, 3)
 
 
 def _tuned(
@@ -345,9 +386,10 @@ def mass_matrix(plant: PlantModel, positions: Array) -> Array:
     """Return the mass matrix of all joints, (n, n), for joint positions of the arm, (nv,) [rad or m]."""
     mujoco = load_mujoco()
     data = mujoco.MjData(plant.model)
-    data.qpos[:] = plant.positions(plant.arm.drives.positions(positions))
+    count = len(plant.rest)
+    data.qpos[:count] = plant.positions(plant.arm.drives.positions(positions))
     mujoco.mj_forward(plant.model, data)
-    return full_mass_matrix(plant.model, data)
+    return full_mass_matrix(plant.model, data)[:count, :count]
 
 
 def full_mass_matrix(model: Any, data: Any) -> Array:
@@ -440,13 +482,14 @@ def _specification(
     spec.option.timestep = servos.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    added = [spec.worldbody.add_body(**_placement(arm.base_placement))]
+    added = [spec.worldbody.add_body(name=str(model.names[0]), **_placement(arm.base_placement))]
     followers = {each.joint for each in _followers(arm)}
     edges = np.sort([arm.drives.ratios * each + arm.drives.offsets for each in arm.limits[:2]], axis=0)
     limits = dict(zip(arm.drives.names, edges.T, strict=True))
     for number, (joint, rigid) in enumerate(zip(list(model.joints)[1:], bodies, strict=True), start=1):
         xx, xy, yy, xz, yz, zz = rigid.inertia[np.tril_indices(3)]
         body = added[model.parents[number]].add_body(
+            name=str(model.names[number]),
             **_placement(model.jointPlacements[number]),
             explicitinertial=True,
             mass=rigid.mass,

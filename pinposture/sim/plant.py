@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from pinposture._validation import require_positive, require_share
 from pinposture.arm.mjcf import load_mujoco, no_log_file
 from pinposture.errors import warn_caller
-from pinposture.schema import CheckedBy, Count, Declared, JointDistance, WholeNumber, declared
+from pinposture.schema import CheckedBy, Count, Declared, JointDistance, WholeNumber, declared, quantity
+from pinposture.sim.contact import ContactRecorder
 from pinposture.sim.model import (
     PlantModel,
     Servos,
@@ -48,6 +49,7 @@ class Plant:
         substeps: number of physics steps per cycle.
         cycles: number of cycles since the start.
         failure: why the simulation cannot continue; "" if it can.
+        contacts: records what touches; None without contact.
     """
 
     def __init__(self, model: PlantModel, start: Array, dt: float, set_points: Array | None = None) -> None:
@@ -75,13 +77,18 @@ class Plant:
         self._data = self._mujoco.MjData(self._model)
         self._driven = self._model.jnt_dofadr[self._model.actuator_trnid[:, 0]]
         self._coupled = len(model.coupling) > len(model.coupling.T)
-        self._at_limit = np.zeros(self._model.nv)  # 1 or -1 where a servo is saturated
-        self._saturated = np.zeros(self._model.nv, dtype=np.intp)  # number of saturated physics steps
+        self._joints = len(model.rest)  # behind them are those of free obstacles
+        self._at_limit = np.zeros(self._joints)  # 1 or -1 where a servo is saturated
+        self._saturated = np.zeros(self._joints, dtype=np.intp)  # number of saturated physics steps
         self._sent = model.positions(start if set_points is None else set_points)
         self._set_points = self._sent.copy()
         self._speed = np.zeros(len(self._sent))  # of the set points
-        self._data.qpos[:] = model.positions(start)
+        self._data.qpos[: self._joints] = model.positions(start)
         self._mujoco.mj_forward(self._model, self._data)
+        self.contacts: ContactRecorder | None = None
+        if model.contact is not None:
+            self.contacts = ContactRecorder(self._model, model.contact)
+            self.contacts.end_cycle(self._data, dt)
         most = model.torque_limits
         self._torques = np.clip(self._compensation, -most, most)
 
@@ -108,8 +115,9 @@ class Plant:
     @property
     def _compensation(self) -> Array:
         """Servo torques that compensate gravity, (n,) [N m or N]; zero where a joint follows another."""
-        compensation = np.zeros(self._model.nv)
-        compensation[np.sort(self._driven)] = self.model.coupling.T @ self._data.qfrc_gravcomp
+        compensation = np.zeros(self._joints)
+        own = self._data.qfrc_gravcomp[: self._joints]
+        compensation[np.sort(self._driven)] = self.model.coupling.T @ own
         return compensation
 
     def advance(self, command: Array) -> bool:
@@ -136,10 +144,14 @@ class Plant:
                     self.failure = self._runaway((number + 1) * self._model.opt.timestep)
                     self._data.qpos[:] = before
                     break
+                if self.contacts is not None:
+                    self.contacts.observe(self._data, (self.cycles + share) * self.dt)
         self._set_points = (self._sent + sent) / 2.0
         self._speed = last
         self._sent = sent
         self.cycles += 1
+        if self.contacts is not None and not self.failure:
+            self.contacts.end_cycle(self._data, self.dt)
         return not self.failure
 
     def _step(self, set_point: Array, speed: Array) -> None:
@@ -149,14 +161,15 @@ class Plant:
         limits = self.model.torque_limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
         compensation = self._compensation  # it counts towards the limits
-        spring = self.model.gains.springs(set_point - state[0]) + damping * speed
+        own_positions = state[0][: self._joints]
+        spring = self.model.gains.springs(set_point - own_positions) + damping * speed
         for trial in range(TRIALS):
             free = self._at_limit == 0.0
             limiting = self._at_limit * np.where(free, 0.0, limits)  # no infinity times 0
             self._integrate(
                 state if trial else None, np.where(free, spring, limiting - compensation), damping * free
             )
-            requested = spring - damping * data.qvel + compensation
+            requested = spring - damping * data.qvel[: self._joints] + compensation
             saturated = np.sign(requested) * (np.abs(requested) > limits)
             if np.array_equal(saturated, self._at_limit) or not np.all(np.isfinite(requested)):
                 self._torques = np.where(free, requested, limiting)
@@ -219,9 +232,10 @@ class Plant:
     def _mobility(self) -> Array:
         """Return the final joint velocity of a physics step per unit of torque, (n, n)."""
         step = self._model.opt.timestep
-        matrix = full_mass_matrix(self._model, self._data)
+        count = self._joints
+        matrix = full_mass_matrix(self._model, self._data)[:count, :count]
         coupling = self.model.coupling
-        moving = coupling.T @ (matrix + step * np.diag(self._model.dof_damping)) @ coupling
+        moving = coupling.T @ (matrix + step * np.diag(self._model.dof_damping[:count])) @ coupling
         inverse = coupling @ np.linalg.inv(moving) @ coupling.T
         return np.asarray(step * (inverse + inverse.T) / 2.0)
 
@@ -250,17 +264,22 @@ def _too_coarse(servos: Servos, timestep: float) -> str:
     return f"servos of {frequency:g} Hz need physics steps below {longest:.3g} s to be stable"
 
 
+_TorqueNoise = Annotated[float, quantity("torque", "force", least=0.0)]
+
+
 @declared()
 class Sensing(Declared):
-    """Joint position sensors; ideal by default.
+    """Sensors of joint positions, ideal by default, and of torques.
 
     Attributes:
-        noise: standard deviation of a measurement [rad or m].
-        resolution: quantisation step of a measurement [rad or m]; 0 for none.
+        noise: standard deviation of a measured position [rad or m].
+        resolution: quantisation step of a measured position [rad or m]; 0 for none.
         dropped: probability that no measurement arrives in a cycle.
         latency: age of a measurement [cycles].
         period: time between new readings [cycles]; in between, the last one is repeated.
         seed: random seed for noise and dropped measurements.
+        torque_noise: standard deviation of a measured torque of a drive [N m or N]; None: torques are not
+            measured.
     """
 
     noise: JointDistance = 0.0
@@ -269,28 +288,47 @@ class Sensing(Declared):
     latency: WholeNumber = 0
     period: Count = 1
     seed: WholeNumber = 0
+    torque_noise: _TorqueNoise | None = None
 
 
 class Sensors:
-    """The sensors of an arm during a simulation."""
+    """The sensors of an arm during a simulation.
+
+    Attributes:
+        torques: the torques of its drives that came with the last measurement, (nv,) [N m or N]; None if none
+            came, or they are not measured.
+    """
 
     def __init__(self, sensing: Sensing) -> None:
+        self.torques: Array | None = None
         self._sensing = sensing
         self._rng = np.random.default_rng(sensing.seed)
-        self._kept: deque[Array] = deque(maxlen=sensing.latency + 1)
+        self._kept: deque[tuple[Array, Array | None]] = deque(maxlen=sensing.latency + 1)
         self._cycles = 0
 
-    def measure(self, positions: Array) -> Array | None:
+    def measure(self, positions: Array, torques: Array | None = None) -> Array | None:
         """Return the measurement that arrives in this cycle, (nv,) [rad or m], or None.
 
         Args:
             positions: true joint positions, (nv,) [rad or m].
+            torques: true torques of the drives, (nv,) [N m or N]; None: they are not measured.
         """
         sensing = self._sensing
-        self._kept.append(self._kept[-1] if self._cycles % sensing.period else self._read(positions))
+        repeats = self._cycles % sensing.period
+        self._kept.append(self._kept[-1] if repeats else (self._read(positions), self._felt(torques)))
         self._cycles += 1
+        if self._rng.random() < sensing.dropped:
+            self.torques = None
+            return None
         # During the initial latency this is the first measurement, taken with the arm at rest.
-        return None if self._rng.random() < sensing.dropped else self._kept[0]
+        measured, self.torques = self._kept[0]
+        return measured
+
+    def _felt(self, torques: Array | None) -> Array | None:
+        noise = self._sensing.torque_noise
+        if torques is None or noise is None:
+            return None
+        return np.asarray(torques + noise * self._rng.standard_normal(len(torques)))
 
     def _read(self, positions: Array) -> Array:
         sensing = self._sensing

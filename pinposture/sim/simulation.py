@@ -16,6 +16,7 @@ from pinposture.collision import Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion.files import Format, check_arrays, check_postures, register
 from pinposture.motion.run import Outcome, closest, ending
+from pinposture.sim.contact import ContactHistory
 from pinposture.sim.model import Servos
 from pinposture.units import length_text
 
@@ -65,14 +66,15 @@ class Simulation(Outcome):
         torque_limits: torque limit of each servo, (nv,) [N m or N]; infinite without a limit.
         saturated: fraction of physics steps in which each servo was saturated, (nv,).
         clearance: smallest distance of the arm to an obstacle, or between its parts, (N,) [m]; negative for
-            penetration, infinite without a scene. The simulation has no contacts.
+            penetration, infinite without a scene.
         targets: targets of the control points, (N, m, 3) [m], world frame; None in open loop, unless sag is
             compensated.
         weights: 1 for each control point with a target, otherwise 0, (N, m); None as `targets`.
         measured: fraction of cycles in which a measurement arrived; 1 in open loop.
         warnings: messages about corrected inertias of the description.
-        scene: the obstacles for `clearance`, or None.
+        scene: the obstacles, as they were at the start, or None.
         tolerance: mean distance of the control points from their goal that counts as arrived [m].
+        contacts: what touched; None if contact was not simulated.
     """
 
     arm: Arm
@@ -97,6 +99,7 @@ class Simulation(Outcome):
     warnings: tuple[str, ...] = ()
     scene: Scene | None = None
     tolerance: float = 0.0
+    contacts: ContactHistory | None = None
 
     def __post_init__(self) -> None:
         make_read_only(*vars(self).values())
@@ -118,6 +121,19 @@ class Simulation(Outcome):
     def sagged(self) -> None:
         """None: the simulated arm sags."""
         return None
+
+    def scene_in(self, row: int, scene: Scene) -> Scene:
+        """Return a scene in a row, with free obstacles where they are, given that at the start."""
+        return scene if self.contacts is None else self.contacts.scene_in(row, scene)
+
+    @cached_property
+    def touched(self) -> tuple[str, ...] | None:
+        """Clauses on the first contact that was not allowed; None if contact was not simulated."""
+        if self.contacts is None:
+            return None
+        faults = self.contacts.faults
+        others = f", and {len(faults) - 1} more pairs touch" if len(faults) > 1 else ""
+        return tuple(f"{each}{others}" for each in faults[:1])
 
     @cached_property
     def excess(self) -> PathDeviation | None:
@@ -203,6 +219,7 @@ class Simulation(Outcome):
             "saturated_joints": [self.arm.drives.names[j] for j in np.flatnonzero(self.saturated > 0.0)],
             "measured_share": self.measured,
             "clearance": closest(self),
+            "contact": None if self.contacts is None else self.contacts.summary(),
             "warnings": list(self.warnings),
         }
         if self.target_errors is not None and self.weights is not None:
@@ -305,6 +322,8 @@ def _check(simulation: Simulation) -> None:
     for name in ("torque_limits", "clearance"):  # which may be infinite
         if np.isnan(given[name]).any():
             raise InvalidValue(name, math.nan, "numbers")
+    if simulation.contacts is not None:
+        _check_contacts(simulation.contacts, rows)
     if not np.all(given["torque_limits"] > 0.0):
         raise InvalidValue("torque_limits", float(given["torque_limits"].min()), "numbers > 0, or infinity")
     for name in ("dt", "timestep"):
@@ -313,4 +332,21 @@ def _check(simulation: Simulation) -> None:
         require_positive(name, given[name], zero=True)
 
 
-register(Format("pinposture-simulation", 4, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))
+def _check_contacts(contacts: ContactHistory, rows: int) -> None:
+    """Raise InvalidValue unless the contacts of a simulation fit its number of rows."""
+    count = len(contacts.pairs)
+    shapes = {
+        "begins": (count,),
+        "speeds": (count,),
+        "peaks": (count,),
+        "forces": (rows, count, 3),
+        "slips": (rows, count),
+        "displacements": (rows, len(contacts.model.masses), 4, 4),
+    }
+    arrays = {name: getattr(contacts, name) for name in shapes}
+    check_arrays(arrays, shapes)
+    for name, array in arrays.items():
+        require_finite(name, array)
+
+
+register(Format("pinposture-simulation", 5, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))
