@@ -56,7 +56,10 @@ CEILINGS = {
     "subtractions from a target": 1,  # 1
     "codecs": 7,  # 6
     "control loops": 1,  # 1
-    "least-squares loops": 8,  # 1
+    "least-squares loops": 7,  # 3
+    "box solvers": 7,  # 2
+    "finders of a goal": 4,  # 1
+    "forms of Algorithm 1": 2,  # 1
     "chain descriptions": 1,  # 1
     "files of a step": 25,  # 12
     "files of a task": 80,  # 40
@@ -82,14 +85,32 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
     ),
     "control loops": ("motion.loop.Loop",),
     "least-squares loops": (
-        "control.planner.damped_least_squares.minimize",
-        "control.planner.damped_least_squares.solve_posture",
-        "control.planner.trajectory_optimization._PathRelaxation",
+        "control.planner.damped_least_squares.minimize",  # points, tasks and obstacles
+        "control.planner.trajectory_optimization._PathRelaxation",  # all waypoints of a path
+        "control.reach._Search",  # the tip and obstacles
+        "kernels.branch_search.correct",  # ends of a few modules
+        "kernels.branch_search.minimise_posture_errors",  # points
+        "kernels.path_relaxation.relax_waypoints",  # one waypoint after another
+        "placement.least_squares.fit_from",  # points on a curve
+    ),
+    "box solvers": (
+        "control.planner.avoidance.solve",  # dense, with rows
         "control.reach._Search",
-        "kernels.branch_search.minimise_posture_errors",
-        "kernels.chain_solver.minimise_points",
-        "kernels.path_relaxation.relax_waypoints",
-        "placement.least_squares.FitProblem",
+        "kernels.branch_search.correct",
+        "kernels.chain_solver.minimise_in_box",  # along the chain
+        "kernels.constrained_step.minimise_with_rows",  # by the one before, with rows
+        "kernels.path_relaxation.step_waypoints",
+        "placement.least_squares.fit_from",
+    ),
+    "finders of a goal": (
+        "control.planner.damped_least_squares.find_positions_near",  # within a cycle
+        "control.planner.plan.find_goal",
+        "control.reach._Search",
+        "placement.points.fit_points",
+    ),
+    "forms of Algorithm 1": (
+        "kernels.modules.place_modules",  # closed forms
+        "placement.resolve.Walk",  # all kinds of modules
     ),
     "chain descriptions": ("kernels.arrays.Joints",),
 }
