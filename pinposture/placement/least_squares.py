@@ -26,7 +26,7 @@ RESTART_NOISE = 0.3
 """Number of restarts, and standard deviation of their perturbations [rad, or arm lengths]. With 4, or with
 starts at the best fit alone, 9 to 13 of 48 fits of UR5, Panda and an arm of 12 unlike joints are worse."""
 
-MAX_AGREEING = 2
+ALIKE_RESTARTS = 2
 SAME_DISTANCE = 1e-3
 """Number of consecutive restarts that end at the same distance from the curve and spare the rest, and the
 largest relative difference of such distances."""
@@ -51,7 +51,7 @@ MAX_IDLE = 3
 MIN_DAMPING = 1e-11
 DAMPING_DOWN = 0.1
 DAMPING_UP = 10.0
-MAX_DAMPING = 1e6
+LAST_DAMPING = 1e6
 """Smallest damping of a fit, relative to `stiffness`, its factors after better and worse steps, and that at
 which the fit ends."""
 
@@ -69,10 +69,9 @@ class FitSettings(NamedTuple):
 
 
 NEAR = FitSettings(12, MIN_DAMPING)
-BENDING = FitSettings(8, 0.1)
 ROUGH = FitSettings(12, 0.1)
 WHOLE = FitSettings(120, 0.1)
-"""Settings of a fit from a nearby guess, of a stage of bending, and of the last stage, roughly and in full.
+"""Settings of a fit from a nearby guess, of a stage of bending or a rough fit, and of a whole fit.
 With an initial damping of 1e-3, 14 of 48 fits to points ended in a worse minimum than those of SciPy's
 `least_squares`, with 0.01 to 1 one to six; with half the steps twice as many."""
 
@@ -148,7 +147,7 @@ def fit_curve(
     unknowns = problem.straight
     for share in np.arange(stages) / max(stages, 1):
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
-        unknowns = fit_from(problem, partial, unknowns, BENDING)
+        unknowns = fit_from(problem, partial, unknowns, ROUGH)
     best = fit_from(problem, curve, unknowns, ROUGH if rough else WHOLE)
     if rough:
         return problem.split(best)
@@ -157,7 +156,7 @@ def fit_curve(
     least = problem.distance(curve, best)
     agreeing = 0
     for number in range(RESTARTS_OF_FIT):
-        if least <= problem.exact or agreeing == MAX_AGREEING:
+        if least <= problem.exact or agreeing == ALIKE_RESTARTS:
             break
         origin = best if number % 2 else problem.straight
         other = fit_from(problem, curve, problem.perturb(origin, rng), WHOLE)
@@ -584,7 +583,7 @@ def fit_from(
             damping = max(damping * DAMPING_DOWN, MIN_DAMPING)
         else:
             damping *= DAMPING_UP
-            converged = damping > MAX_DAMPING
+            converged = damping > LAST_DAMPING
         if converged or idle >= MAX_IDLE:
             break
     return np.asarray(x)
