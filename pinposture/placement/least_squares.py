@@ -572,12 +572,13 @@ def fit_from(
         step *= min(1.0, MAX_STEP / max(float(np.abs(step).max()), 1e-300))
         trial = np.clip(x + step, lower, upper)
         trial_residual, trial_jacobian = problem.evaluate(curve, trial)
-        trial_cost = trial_residual @ trial_residual + weight * ((trial - anchor) @ (trial - anchor))
+        away = trial - anchor
+        trial_cost = float(trial_residual @ trial_residual + weight * (away @ away))
         if trial_cost <= cost:
             idle = idle + 1 if trial_cost > (1.0 - problem.settled) * cost else 0
-            converged = float(np.abs(trial - x).max()) <= MIN_STEP or trial_cost <= MIN_COST
+            converged = trial_cost <= MIN_COST or float(np.abs(trial - x).max()) <= MIN_STEP
             x = trial
-            cost = float(trial_cost)
+            cost = trial_cost
             residual = trial_residual
             jacobian = trial_jacobian
             damping = max(damping * DAMPING_DOWN, MIN_DAMPING)
