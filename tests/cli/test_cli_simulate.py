@@ -98,6 +98,10 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
         (["RUN", "--closed", "--hold", "-1"], "hold is -1"),
         (["CSV"], "--urdf is not given"),
         (["RUN", "-o", "CSV"], "is a file"),
+        (["RUN", "--free", "can=0.3"], "allowed: nothing without --contact"),
+        (["RUN", "--contact", "--free", "can"], "allowed: NAME=MASS"),
+        (["RUN", "--contact", "--free", "can=0.3"], "'can'"),
+        (["RUN", "--contact", "--friction", "-1"], "friction is -1"),
     ],
 )
 def test_what_cannot_be_is_told_in_one_line(
@@ -132,3 +136,24 @@ def test_an_arm_that_sags_is_sent_commands_against_it(command, timed_run, tmp_pa
     assert told[0]["mean_point_error"]["end"] > 10.0 * told[1]["target_error"]["end"]
     assert told[1]["status"] == "converged"
     assert "stiffness" in command("simulate", timed_run, "--compensate").err
+
+
+@pytest.mark.long
+def test_contact_is_told_and_judged(command, timed_run, tmp_path) -> None:
+    run = pp.load(timed_run / "run.npz", pp.Run)
+    tip = run.points[-1, -1]
+    floor = pp.HalfSpace((0.0, 0.0, -10.0), (0.0, 0.0, 1.0))
+    radius = 0.2 * float(run.arm.chain.module_lengths.mean())
+    ball = pp.Sphere(tuple(tip), radius)
+    file = pp.Scene({"floor": floor, "ball": ball}, self_collision=False).save(tmp_path / "scene.json")
+    options = ["--scene", file, "--contact", "--friction", "0.5", "--no-gravity", "--hold", "0.1"]
+    free = ["--free", "ball=10g"]
+    told = command("simulate", timed_run, *options, *free)
+    assert told.code == 1
+    assert "first touch" in told.out
+    assert "ball" in told.out.splitlines()[0]
+    allowed = json.loads(command("simulate", timed_run, *options, *free, "--allow", "ball", "--json").out)
+    assert allowed["contact"]["first_touch"]["pair"][1] == "ball"
+    assert not any("touches" in each for each in allowed["faults"])
+    without = json.loads(command("simulate", timed_run, "--no-gravity", "--hold", "0", "--json").out)
+    assert without["contact"] is None

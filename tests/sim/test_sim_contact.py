@@ -196,3 +196,22 @@ def test_surfaces_and_coupled_arms_are_refused_by_name():
     coupled = pp.Arm.from_modules([continuum_section(4, 0.2)] * 2)
     with pytest.raises(InvalidValue, match="coupled"):
         sim.build_plant_model(coupled, contact=sim.ContactModel())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("share", "held"), [(0.9, True), (1.1, False)])
+def test_a_ball_between_two_jaws_is_held_up_to_the_mass_that_is_told(share, held):
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("Level", [pp.JointSpec("z")], [0.2])] * 3).with_effort(0.5)
+    q = np.array([0.0, 0.5 * math.pi, 0.5 * math.pi])
+    scene = pp.Scene({"ball": pp.Sphere((0.05, 0.1, 0.0), 0.09)}, arm_radius=0.01, self_collision=False)
+    mass = pp.assess_hold(arm, q, scene, "ball", friction=0.5).mass
+    squeezed = q + np.array([0.0, 0.0, 0.2])
+    contact = sim.ContactModel(friction=0.5, masses={"ball": share * mass}, allowed=["ball"])
+    ended = sim.simulate(
+        arm, [q, squeezed], servos=sim.Servos(10.0), dt=0.01, hold=0.5, scene=scene, contact=contact
+    )
+    height = ended.contacts.displacements[-1, 0, 2, 3]
+    assert (abs(height) < 0.02) == held
+    if held:
+        assert ended.contacts.forces[-1, :, 1] == pytest.approx([-0.5 / 0.15, 0.5 / 0.15], rel=0.02)
+        assert not ended.contacts.faults
