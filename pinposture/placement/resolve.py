@@ -143,29 +143,12 @@ def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...
     numbers, shapes = unit_arrays(arm)
     parameter, on_curve = beginning(arm, curve)
     base = np.array(arm.chain.base)
-    state = np.empty(9)
-    state[0] = parameter
-    state[1:4] = base
-    state[4:7] = base if on_curve else curve.at(parameter)
-    lower = arm.limits.lower[arm.columns]
-    upper = arm.limits.upper[arm.columns]
-    found = np.zeros(len(lower))
+    first = base if on_curve else curve.at(parameter)
+    placement = ClosedFormPlacement(curve, samples, units, numbers, shapes, parameter, base, first)
     parameters = np.full(arm.n_modules, curve.length)
-    spline, length = curve.measured
-    initial = state.copy()
-    stopped = kernels.place_modules(
-        spline, length, samples, numbers, shapes, lower, upper, state, found, parameters
-    )
     positions = np.zeros(arm.nv)
-    positions[arm.columns] = found
-    failure: TargetError | None = None
-    if stopped >= 0:
-        unit = units[stopped]
-        exceeded = ""
-        if state[8]:
-            without = Unlimited(curve, samples, numbers, shapes, initial)
-            exceeded = without.exceeded_limit(arm, unit, lower, upper, unit.inputs)
-        failure = _failure(arm, curve, unit, state, exceeded)
+    positions[arm.columns], failure = placement.place(arm, arm.columns, parameters)
+    if failure is not None:
         parameters[failure.module - 1 :] = curve.length
     return Placement(positions, parameters, failure)
 
@@ -220,31 +203,16 @@ class Walk:
     def _by_closed_form(
         self, unit: Unit, form: ClosedForm, base: pin.SE3
     ) -> tuple[float, Array] | TargetError:
-        arm = self._arm
         numbers = np.array([[form.form, 0, 0]], dtype=np.int64)
         shapes = form.shape_in(base.rotation)[None]
-        state = np.empty(9)
-        state[0] = self.parameter
-        state[1:4] = base.translation
         here = unit.joints.start > 0 or self._from_base
-        state[4:7] = base.translation if here else self._curve.at(self.parameter)
-        columns = arm.columns[unit.inputs]
-        lower = arm.limits.lower[columns]
-        upper = arm.limits.upper[columns]
-        found = np.zeros(form.dof)
-        parameters = np.zeros(1)
-        spline, length = self._curve.measured
-        initial = state.copy()
-        stopped = kernels.place_modules(
-            spline, length, self._samples, numbers, shapes, lower, upper, state, found, parameters
+        first = base.translation if here else self._curve.at(self.parameter)
+        placement = ClosedFormPlacement(
+            self._curve, self._samples, (unit,), numbers, shapes, self.parameter, base.translation, first
         )
-        if stopped >= 0:
-            exceeded = ""
-            if state[8]:
-                without = Unlimited(self._curve, self._samples, numbers, shapes, initial)
-                exceeded = without.exceeded_limit(arm, unit, lower, upper, slice(None))
-            return _failure(arm, self._curve, unit, state, exceeded)
-        return float(parameters[0]), found
+        parameters = np.zeros(1)
+        found, failure = placement.place(self._arm, self._arm.columns[unit.inputs], parameters)
+        return (float(parameters[0]), found) if failure is None else failure
 
     def _by_your_own(
         self, unit: Unit, kinematics: ModuleKinematics, base: pin.SE3
@@ -290,55 +258,82 @@ class Walk:
         return kind(module, at, f"{text}; {GENTLER}")
 
 
-class Unlimited(NamedTuple):
-    """A placement to be repeated without the limits of one unit; see `kernels.place_modules`.
+class ClosedFormPlacement(NamedTuple):
+    """Consecutive units with closed forms, to be placed on a curve; see `kernels.place_modules`.
 
     Attributes:
         curve: the curve.
-        samples: number of samples of each module.
-        numbers: the units.
-        shapes: their shapes.
-        state: where the placement began, (9,).
+        samples: number of samples of the curve.
+        units: the units.
+        numbers: their closed forms, first joints and modules, (n, 3).
+        shapes: their shapes, (n, 12).
+        parameter: arc length at which they begin [m].
+        base: position of the first base, (3,) [m].
+        first: the point of the curve there, (3,) [m].
     """
 
     curve: Curve
     samples: int
+    units: tuple[Unit, ...]
     numbers: NDArray[np.int64]
     shapes: Array
-    state: Array
+    parameter: float
+    base: Array
+    first: Array
 
-    def exceeded_limit(self, arm: Arm, unit: Unit, lower: Array, upper: Array, own: slice) -> str:
-        """Describe the limit that a unit has to exceed most on the curve.
+    def place(
+        self, arm: Arm, columns: NDArray[np.int64], parameters: Array
+    ) -> tuple[Array, TargetError | None]:
+        """Return the positions of joints, (k,) [rad], and why a unit could not be placed.
 
         Args:
             arm: the arm.
-            unit: the unit.
-            lower: lower limits of all joints that are placed, (n,) [rad or m].
-            upper: their upper limits, (n,) [rad or m].
-            own: the joints of the unit among these.
+            columns: tangent space indices of the joints, (k,).
+            parameters: filled with the arc length of the end of each module, (m,) [m].
         """
-        wide_lower = lower.copy()
-        wide_upper = upper.copy()
-        wide_lower[own] = -np.inf
-        wide_upper[own] = np.inf
+        lower = arm.limits.lower[columns]
+        upper = arm.limits.upper[columns]
+        stopped, state, found = self._run(lower, upper, parameters)
+        if stopped < 0:
+            return found, None
+        unit = self.units[stopped]
+        exceeded = ""
+        if state[8]:
+            own = slice(unit.first - self.units[0].first, unit.inputs.stop - self.units[0].first)
+            exceeded = self._exceeded_limit(arm, unit, own, lower, upper)
+        return found, _failure(arm, self.curve, unit, state, exceeded)
+
+    def _run(self, lower: Array, upper: Array, parameters: Array) -> tuple[int, Array, Array]:
+        """Return the result, the final state, (9,), and the positions of `kernels.place_modules`, (k,)."""
+        state = np.empty(9)
+        state[0] = self.parameter
+        state[1:4] = self.base
+        state[4:7] = self.first
         found = np.zeros(len(lower))
-        parameters = np.empty(arm.n_modules)
         spline, length = self.curve.measured
-        kernels.place_modules(
+        stopped = kernels.place_modules(
             spline,
             length,
             self.samples,
             self.numbers,
             self.shapes,
-            wide_lower,
-            wide_upper,
-            self.state,
+            lower,
+            upper,
+            state,
             found,
             parameters,
         )
+        return stopped, state, found
+
+    def _exceeded_limit(self, arm: Arm, unit: Unit, own: slice, lower: Array, upper: Array) -> str:
+        """Describe the limit of (k,) [rad] that a unit with joints `own` has to exceed most on the curve."""
+        wide_lower = lower.copy()
+        wide_upper = upper.copy()
+        wide_lower[own] = -np.inf
+        wide_upper[own] = np.inf
+        needed = self._run(wide_lower, wide_upper, np.empty(arm.n_modules))[2][own]
         low = lower[own]
         high = upper[own]
-        needed = found[own]
         worst = int(np.argmax(np.maximum(low - needed, needed - high)))
         name = arm.chain.input_names[unit.inputs][worst]
         allowed = f"{low[worst]:.4g} to {high[worst]:.4g} rad"
