@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 
 from pinposture._validation import finite_vector, require_whole
 from pinposture.arm import Arm
+from pinposture.arm.weight import Load
 from pinposture.collision.obstacles import Obstacle
 from pinposture.control import controller_named
 from pinposture.control.limits import cycle_of
@@ -549,6 +550,36 @@ def with_controller(name: str) -> Edit:
 def with_limits(**changes: Any) -> Edit:
     """Change limits of the task."""
     return lambda task: task.edited(limits=replace(task.limits, **changes))
+
+
+def with_weight(**changes: Any) -> Edit:
+    """Change what is known of the weight of the arm: its torque limits, its stiffness and so on."""
+    return lambda task: task.edited(arm=task.arm.with_weight(replace(task.arm.weight, **changes)))
+
+
+def with_tip_load(mass: float) -> Edit:
+    """Have the arm carry a mass at its tip [kg], 0 for none; what it carries elsewhere stays."""
+
+    def edit(task: Task) -> Task:
+        others = [each for each in task.arm.weight.payloads if not is_at_tip(each)]
+        own = [Load(mass)] if mass != 0.0 else []
+        return with_weight(payloads=(*others, *own))(task)
+
+    return edit
+
+
+def is_at_tip(load: Load) -> bool:
+    """Whether a load is a mere mass at the tip of the arm."""
+    return load == Load(load.mass)
+
+
+def differ_in_weight_alone(one: Arm, other: Arm) -> bool:
+    """Whether two arms are the same, or but for their weights: they then look and move alike."""
+    if one is other:
+        return True
+    if one.spec is None or other.spec is None or one.urdf != other.urdf:
+        return False
+    return replace(one.spec, weight=None) == replace(other.spec, weight=None)
 
 
 def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = None) -> Edit:

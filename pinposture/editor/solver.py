@@ -19,6 +19,7 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import effective_scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, Geodesic, Limits
+from pinposture.editor.edits import differ_in_weight_alone
 from pinposture.editor.latest import Latest
 from pinposture.errors import (
     CurveBendsTooMuch,
@@ -52,7 +53,7 @@ DRAG_HORIZON = 0.1  # for which a dragged obstacle is extrapolated after its las
 REST_INTERVAL = 0.25  # between steps while the arm is at rest and nothing is asked [s]
 STOP_TIME = 0.5  # for which the arm stands still before it is said to have stopped [s]
 RESTING = ("converged", "stalled")
-TRACKER_FIELDS = ("controller", "limits", "scene")  # of a problem; a change of them needs a new tracker
+TRACKER_FIELDS = ("arm", "controller", "limits", "scene")  # of a problem; changes need a new tracker
 
 
 class Verdict(NamedTuple):
@@ -359,9 +360,10 @@ class Solver:
         try:
             self._verdict = self._judge(problem)
             dragging = problem.dragging_obstacle and isinstance(problem.controller, Geodesic)
-            if problem.arm is not before.arm:
+            same = ("arm", "controller", "limits")
+            if not differ_in_weight_alone(problem.arm, before.arm):
                 self._change_arm(problem)
-            elif dragging and (problem.controller, problem.limits) == (before.controller, before.limits):
+            elif dragging and all(getattr(problem, part) == getattr(before, part) for part in same):
                 self._tracked = problem  # each step is given the scene of its moment
             elif any(getattr(problem, part) != getattr(before, part) for part in TRACKER_FIELDS):
                 target = self._tracker.target

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
+from pinposture.arm.weight import Load
 from pinposture.editor import edits
 from pinposture.editor.edits import Shape, reshaped
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
@@ -331,3 +332,23 @@ def test_no_obstacle_may_stand_around_the_base() -> None:
     with pytest.raises(TaskError, match="it stands where the base of the arm is"):
         edits.with_obstacle("ball", pp.Sphere(six_modules().chain.base, 0.1 * L))(task())
     edits.with_obstacle("ball", pp.Sphere(six_modules().chain.base + (0, 0, 0.2 * L), 0.1 * L))(task())
+
+
+def test_the_load_at_the_tip_is_changed_and_all_else_that_the_arm_carries_stays() -> None:
+    arm = six_modules().with_payload(0.2, frame="m01_l2").with_payload(0.1, com=(0.01, 0.0, 0.0))
+    first = edits.with_tip_load(0.5)(task(arm=arm))
+    assert first.arm.weight.payloads == (*arm.weight.payloads, Load(0.5))
+    second = edits.with_tip_load(0.25)(first)
+    assert second.arm.weight.payloads == (*arm.weight.payloads, Load(0.25))
+    assert edits.with_tip_load(0.0)(second).arm.weight == arm.weight
+    with pytest.raises(InvalidValue):
+        edits.with_tip_load(-1.0)(first)
+
+
+def test_arms_that_differ_in_weight_alone_are_known() -> None:
+    arm = six_modules()
+    heavy = edits.with_weight(effort=2.0, stiffness=300.0)(task(arm=arm)).arm
+    assert np.all(heavy.effort == 2.0) and np.all(np.diag(heavy.stiffness) == 300.0)
+    assert edits.differ_in_weight_alone(arm, heavy) and edits.differ_in_weight_alone(heavy, arm)
+    others = (pp.Arm.from_template("RyRz", 5), arm.with_characteristic_length(0.1))
+    assert not any(edits.differ_in_weight_alone(arm, other) for other in others)

@@ -342,3 +342,17 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
         clock[0] += STEP_TIME
         solver._step()
     assert solver.live.status == "converged"
+
+
+def test_an_arm_of_another_weight_goes_on_from_where_it_is() -> None:
+    light = six_modules()
+    solver = Solver(problem(1, at_once=True), light.straight())
+    solver._take(problem(1, at_once=True))
+    solver._step()
+    bent = solver.live.state.q
+    assert np.abs(bent).max() > 0.1
+    heavy = light.with_payload(0.5).with_effort(3.0)
+    solver._take(problem(2, arm=heavy, at_once=True))
+    solver._step()
+    assert solver.live.arm is heavy
+    np.testing.assert_allclose(solver.live.state.q, bent, atol=1e-9)

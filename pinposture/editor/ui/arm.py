@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from html import escape
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.control import CONTROLLERS
-from pinposture.editor.edits import with_controller, with_limits
+from pinposture.arm.weight import Weight
+from pinposture.control import CONTROLLERS, Limits
+from pinposture.editor.edits import (
+    differ_in_weight_alone,
+    is_at_tip,
+    with_controller,
+    with_limits,
+    with_tip_load,
+    with_weight,
+)
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
@@ -25,6 +35,7 @@ from pinposture.editor.ui.parts import (
     put,
     quaternions,
 )
+from pinposture.schema import describe_field
 from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.arm_figure import LOADS, load_levels
@@ -224,7 +235,7 @@ class MeasuredArm:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, states: JointStates | None) -> None:
         # Joint states of an arm that was edited before say nothing of this one.
-        self._states = states if states is not None and states.arm is arm else None
+        self._states = states if states is not None and differ_in_weight_alone(states.arm, arm) else None
         self._count = -1
         if self._states is None:
             return
@@ -255,6 +266,51 @@ class MeasuredArm:
         put(self._about, content=framed_html("measured", palette.FINAL, "Measured", text))
 
 
+class DeclaredNumber(NamedTuple):
+    """A number of the limits of the task or of the weight of its arm, in a field where 0 stands for None."""
+
+    kind: type[Limits] | type[Weight]  # the class that declares it
+    name: str  # of its field
+    label: str  # with the unit
+    step: float  # of the arrows beside it
+    noun: str  # in messages
+
+    def value(self, session: Session) -> Any:
+        """Return the value: a number, several, or None."""
+        task = session.task
+        return getattr(task.limits if self.kind is Limits else task.arm.weight, self.name)
+
+    def has_several(self, session: Session) -> bool:
+        """Whether joints have numbers of their own, which a field cannot show."""
+        value = self.value(session)
+        return isinstance(value, dict) or np.ndim(value) > 0
+
+    def shown(self, session: Session) -> float:
+        """Return the number to show: the least of several, 0 for None."""
+        value = self.value(session)
+        if value is None:
+            return 0.0
+        listed = np.array(list(value.values()) if isinstance(value, dict) else value)
+        return round(float(np.min(np.diag(listed) if listed.ndim == 2 else listed)), RATE_DIGITS)
+
+    def request(self, shown: float) -> Request:
+        """Return the request of another number."""
+        value = float(shown) or None
+        change = with_limits if self.kind is Limits else with_weight
+        what = f"{self.noun} {shown:g}" if value else f"no {self.noun} in the task"
+        return partial(Session.edit, edit=change(**{self.name: value}), what=what)
+
+
+NUMBERS = (
+    DeclaredNumber(Limits, "velocity", "Speed [rad/s]", 0.1, "speed limit"),
+    DeclaredNumber(Limits, "acceleration", "Accel. [rad/s²]", 1.0, "acceleration limit"),
+    DeclaredNumber(Limits, "jerk", "Jerk [rad/s³]", 10.0, "jerk limit"),
+    DeclaredNumber(Weight, "effort", "Torque [N m]", 0.1, "torque limit"),
+    DeclaredNumber(Weight, "stiffness", "Stiff. [N m/rad]", 10.0, "stiffness"),
+)
+"""The numbers that have fields."""
+
+
 class ArmTab:
     """Controls for the arm: what moves it, its limits, and what of it is shown."""
 
@@ -267,13 +323,7 @@ class ArmTab:
         self._due = 0.0
         self._facts = gui.add_markdown("")
         controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
-        hint = "Limit of each joint; 0: that of the arm"
-        speed = gui.add_number("Speed [rad/s]", 0.0, min=0.0, step=0.1, hint=hint)
-        hint = "Limit of each joint; 0: none"
-        acceleration = gui.add_number("Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint=hint)
-        hint = "Limit of each joint, along with that of acceleration; 0: none"
-        jerk = gui.add_number("Jerk [rad/s³]", 0.0, min=0.0, step=10.0, hint=hint)
-        speed.precision = acceleration.precision = jerk.precision = RATE_DIGITS
+        self._numbers = [self._add_number(gui, bind, each) for each in NUMBERS if each.kind is Limits]
         at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         hint = "Red: at a limit, near singular, or beyond its torque"
         self._coloring = gui.add_dropdown("Colours", COLORINGS, hint=hint)
@@ -287,19 +337,31 @@ class ArmTab:
             ),
             bind(at_once, lambda session: session.at_once, _move_at_once),
         )
-        self._limits = {
-            field: bind(control, partial(_least_limit, field), partial(_set_limit, field))
-            for field, control in (("velocity", speed), ("acceleration", acceleration), ("jerk", jerk))
-        }
+        with gui.add_folder("Load"):
+            hint = "Mass at the tip; what the arm carries elsewhere stays"
+            mass = gui.add_number("Payload [kg]", 0.0, min=0.0, step=0.1, hint=hint)
+            mass.precision = RATE_DIGITS
+            self._payload = bind(mass, _payload_of, _carry)
+            self._numbers += [self._add_number(gui, bind, each) for each in NUMBERS if each.kind is Weight]
+            kept = gui.add_checkbox("Keep torques", False, hint=describe_field(Limits, "effort"))
+            self._kept = bind(kept, lambda session: session.task.limits.effort is not None, _keep_torques)
+
+    def _add_number(
+        self, gui: viser.GuiApi, bind: Callable[..., Bound], number: DeclaredNumber
+    ) -> tuple[DeclaredNumber, Bound]:
+        """Add a field for a number; its hint is what the class says of it."""
+        hint = f"{describe_field(number.kind, number.name)} 0 stands for this default."
+        control = gui.add_number(number.label, 0.0, min=0.0, step=number.step, hint=hint)
+        control.precision = RATE_DIGITS
+        return number, bind(control, number.shown, number.request)
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
-        limits = session.task.limits
-        for choice in self._choices:
+        for choice in (*self._choices, self._payload):
             choice.show(session)
-        for key, field in self._limits.items():
-            limit = getattr(limits, key)
-            field.show(session, disabled=limit is not None and np.ndim(limit) > 0)
+        for number, field in self._numbers:
+            field.show(session, disabled=number.has_several(session))
+        self._kept.show(session, disabled=not isinstance(session.task.limits.effort, bool | None))
         now = time.monotonic()
         if live.steps != self._steps and now >= self._due:
             self._steps = live.steps
@@ -309,17 +371,19 @@ class ArmTab:
         self._ellipsoids.show(live.state, live.steps, self._with_ellipsoids.value)
 
 
-def _least_limit(field: str, session: Session) -> float:
-    """Return the least of the limits of the joints, 0 without any."""
-    limit = getattr(session.task.limits, field)
-    return 0.0 if limit is None else round(float(np.min(limit)), RATE_DIGITS)
+def _payload_of(session: Session) -> float:
+    masses = [each.mass for each in session.task.arm.weight.payloads if is_at_tip(each)]
+    return round(sum(masses), RATE_DIGITS)
 
 
-def _set_limit(field: str, value: float) -> Request:
-    limit = None if value == 0.0 else float(value)
-    noun = {"velocity": "speed"}.get(field, field)
-    what = f"{noun} {value:g}" if limit else f"no {noun} limit in the task"
-    return partial(Session.edit, edit=with_limits(**{field: limit}), what=what)
+def _carry(mass: float) -> Request:
+    what = f"payload {mass:g} kg" if mass else "no payload at the tip"
+    return partial(Session.edit, edit=with_tip_load(float(mass)), what=what)
+
+
+def _keep_torques(kept: bool) -> Request:
+    what = "torques kept within limits" if kept else "torques not limited"
+    return partial(Session.edit, edit=with_limits(effort=True if kept else None), what=what)
 
 
 def _move_at_once(value: bool) -> Request:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control import EndEffector
 from pinposture.editor import edits
-from pinposture.editor.edits import keyframes_of
+from pinposture.editor.edits import differ_in_weight_alone, keyframes_of
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.phases import EditedPhase
 from pinposture.editor.postures import add_taught, draw_curve, teach
@@ -39,7 +39,7 @@ class KeyframesTab:
     def __init__(self, server: viser.ViserServer, arm: Arm, states: JointStates | None, post: Post) -> None:
         self._post = post
         gui = server.gui
-        self._states = states if states is not None and states.arm is arm else None
+        self._states = states if states is not None and differ_in_weight_alone(states.arm, arm) else None
         self._present = arm.straight()
         self._first = 0  # the first row
         self._shown = (-1, -1)  # which keyframe of how many was selected

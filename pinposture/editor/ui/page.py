@@ -15,7 +15,7 @@ import viser
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.editor.edits import TIME_TOLERANCE, keyframes_of, lap_time
+from pinposture.editor.edits import TIME_TOLERANCE, differ_in_weight_alone, keyframes_of, lap_time
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.obstacles import obstacles_of
@@ -510,10 +510,11 @@ class Page:
         if live.arm is not session.arm:
             return  # the solver has not turned to it yet
         with self._server.atomic():
-            if live.arm is not self._arm.arm:
+            if not differ_in_weight_alone(live.arm, self._arm.arm):
                 self._server.gui.reset()
                 self._server.scene.reset()
                 self._build(session.task)
+            self._arm.arm = live.arm
             live = session.playback.seen(live)
             self._arm.move(live.state.q)
             for part in self._parts:
