@@ -337,7 +337,7 @@ class ArmTab:
             ),
             bind(at_once, lambda session: session.at_once, _move_at_once),
         )
-        with gui.add_folder("Load"):
+        with gui.add_folder("Weight and torques"):
             hint = "Mass at the tip; what the arm carries elsewhere stays"
             mass = gui.add_number("Payload [kg]", 0.0, min=0.0, step=0.1, hint=hint)
             mass.precision = RATE_DIGITS
