@@ -28,9 +28,10 @@ VISITS_PER_MODULE = 20
 MIN_VISITS = 200
 """Limit on the number of module visits of a search: per module, and its minimum."""
 
-WINDOW = 3
-"""Number of modules corrected together if a point cannot be reached by its own joints. Of 40 random postures
-of arms of ten modules of four joints, 1, 2, 3 and 6 find 29, 31, 32 and 35, and 6 in 0.8 of the time of 3."""
+WINDOW = 6
+"""Number of modules corrected together if a point cannot be reached by its own joints. Of 90 random postures
+of arms of ten modules of three and four joints, 3 finds 86 and 6 all (`docs/design/branch_search.md`), in a
+third of the time with four joints. Points that cannot be reached take up to a fifth longer."""
 
 JOINT_SAMPLES = 16
 """Number of samples of a joint without a closed form; twice as many for two or more such joints. Of the same
