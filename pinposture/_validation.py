@@ -283,6 +283,8 @@ def finite_array(
 
 def require_finite(name: str, array: NDArray[np.float64], largest: float = LARGEST_NUMBER) -> None:
     """Raise InvalidValue if an entry is not finite, or larger than `largest` either way; names the entry."""
+    if np.vdot(array, array) <= largest * largest:  # in nearly every call; other products warn of overflow
+        return
     for where in entries_beyond(array, largest)[:1]:
         number = float(array[tuple(where)])
         allowed = f"finite numbers{f' of at most {largest:g} in size' if math.isfinite(number) else ''}"
@@ -291,9 +293,6 @@ def require_finite(name: str, array: NDArray[np.float64], largest: float = LARGE
 
 def entries_beyond(array: NDArray[np.float64], largest: float) -> NDArray[np.intp]:
     """Return the indices of entries that are not finite or larger than `largest` either way, (n, ndim)."""
-    # Quick; false if many entries are near the largest. Other products warn when they overflow.
-    if np.vdot(array, array) <= largest * largest:
-        return np.empty((0, array.ndim), dtype=np.intp)
     return np.argwhere(~(np.abs(array) <= largest))
 
 

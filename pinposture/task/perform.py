@@ -78,6 +78,7 @@ class ReferencePath:
 
     Attributes:
         reference: the reference.
+        end: the last place.
         times: planned time of each of its rows, (N + 1,) [s].
         path: its configurations as a path through joint space, within the position limits.
         timed: the path at the largest speed that limits and waypoints allow, up to that of the plan, and
@@ -101,6 +102,7 @@ class ReferencePath:
         q = arm.integrate(reference.start, offsets[0])
         first = Target(arm.chain_at(q).points, reference.weights[0], q)
         self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
+        self.end = self.path.end
         self._limits = limits
         durations = reference.interval if reference.durations is None else reference.durations
         self._rates = np.full(reference.rows - 1, self._dt / durations)
@@ -111,12 +113,9 @@ class ReferencePath:
             self._limit_speeds(1 + cycles // 2)  # averaged steps lie on both sides of a waypoint
         self._slow_down_at_marks(cycles)
 
-    @property
-    def _profile(self) -> SpeedProfile:
-        return cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
-
     def _retime(self) -> None:
         self.timed = retime(self.path, self._limits, self._rates)
+        self._profile = cast(SpeedProfile, self.timed.profile)  # there is one for finite rates
         if self.steps > MAX_PERFORMED_CYCLES:
             most = f"{MAX_PERFORMED_CYCLES:g}"
             allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
@@ -184,11 +183,6 @@ class ReferencePath:
         return target.mean_distance(arm.chain_at(q).points)
 
     @property
-    def end(self) -> float:
-        """The last place."""
-        return self.path.end
-
-    @property
     def steps(self) -> float:
         """Smallest possible number of cycles."""
         return self._profile.steps
@@ -213,7 +207,7 @@ class ReferencePath:
     def target(self, place: float) -> Target:
         """Return the target posture at a place."""
         arm = self.reference.arm
-        row = min(int(np.ceil(place)), self.reference.rows - 1)
+        row = min(int(np.ceil(place)), len(self.times) - 1)
         offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
         q = arm.integrate(self.reference.start, offset)
         return target_at(ChainState(arm, q), self.reference.weights[row])

@@ -241,6 +241,7 @@ class Avoidance:
     Attributes:
         margin: the distance to keep [m].
         moving: whether obstacles move.
+        still: whether obstacles rest, and the measured arm is where steps begin.
         offset: as above.
         constraints: the constraints of the objective.
         torques: the torque limits of postures; None: none.
@@ -268,6 +269,7 @@ class Avoidance:
         self.torques = None if bounds.effort is None else TorqueLimits(objective.arm, bounds.effort)
         self.constrained = bool(self.constraints) or self.torques is not None
         self._length = objective.arm.length
+        self._rounding = 1e-12 * self._length
         self._bounds = bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
         self._seen: tuple[ChainState, Distances] | None = None
@@ -280,6 +282,7 @@ class Avoidance:
         self._approach = 2.0 / max(steps, 2.0 / MAX_CLEARANCE_LOSS)
         self._dt = 0.0 if bounds.dt is None else bounds.dt
         self.moving = bool(clearance.scene.velocities)
+        self.still = not self.moving and offset is None
         if self.moving and bounds.dt is None:
             allowed = "Limits(dt=...), with the duration of a step: obstacles in the scene have velocities"
             raise InvalidValue("limits", "Limits() without dt", allowed)
@@ -505,11 +508,6 @@ class Avoidance:
         matrix = sides.matrix[near][:, self.objective.columns] * self.objective.units
         return LinearRows(root * matrix, root * wanted[near])
 
-    @property
-    def still(self) -> bool:
-        """Whether obstacles rest, and the measured arm is where steps begin."""
-        return not self.moving and self.offset is None
-
     def clear_stop(self, state: ChainState, dq: Array) -> Array | None:
         """Return the steps that stop the arm after a step, (k, nv) [rad or m]; None if it loses its margin.
 
@@ -628,10 +626,6 @@ class Avoidance:
         if not self.constrained:
             return False
         return self._violation_in(state, steps) > accepted + VIOLATION_ROUNDING * self._length
-
-    @property
-    def _rounding(self) -> float:
-        return 1e-12 * self._length
 
     def describe_violations(self, state: ChainState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin, and the constraints that are violated."""

@@ -194,7 +194,7 @@ class PathProgress(NamedTuple):
 
     def matches(self, state: ChainState) -> bool:
         """Whether the arm is close enough to its expected position to stay on the path."""
-        arm = self.timed.path.arm
+        arm = self.timed.path.objective.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
         chain = arm.kinematics

@@ -176,7 +176,7 @@ class Geodesic:
         scheduled = progress is not None and progress.timed.scheduled and not progress.arrived
         if progress is not None and scheduled and progress.idle_travel < MAX_IDLE_TRAVEL:
             objective = self._objective(state, target, progress)
-            return _within(progress.along(progress.path.revised(objective=objective)), limits)
+            return _within(progress.along(progress.timed.path.revised(objective=objective)), limits)
         alike = progress is not None and _are_alike(progress.objective.target, target)
         if progress is not None and alike and not progress.arrived and progress.objective.tasks != self.tasks:
             alike = not any(task.priority for task in self.tasks)  # the path bends to where those are
@@ -249,7 +249,7 @@ class Geodesic:
     ) -> Objective:
         """Return the objective; reuse that of the progress if only the target differs."""
         if progress is not None:
-            known = progress.objective
+            known = progress.timed.path.objective
             weights = known.relative_position_weight, known.joint_weight
             if (
                 known.tasks == self.tasks == ()
@@ -597,7 +597,7 @@ def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
 
 def _within(progress: PathProgress, limits: Limits) -> PathProgress:
     """Return the progress, retimed if the limits have changed."""
-    same = progress.timed.bounds is limits.for_arm(progress.timed.path.arm)
+    same = progress.timed.bounds is limits.for_arm(progress.timed.path.objective.arm)
     return progress if same else progress.retimed(progress.timed.path, limits)
 
 

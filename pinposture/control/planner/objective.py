@@ -162,27 +162,27 @@ class Objective:
     def _layout(self) -> _Layout:
         return _layout_of(self.arm, self.target.weights, self.relative_position_weight)
 
-    @property
+    @cached_property
     def columns(self) -> NDArray[np.int64]:
         """Degrees of freedom of the chain that have room to move, from base to tip, (n,)."""
         return self._layout.columns
 
-    @property
+    @cached_property
     def units(self) -> Array:
         """Unit of motion of each of them, (n,) [rad or m]."""
         return self._layout.units
 
-    @property
+    @cached_property
     def mu(self) -> float:
         """Weight of joint motion [m per `Arm.joint_units`]: `joint_weight` module lengths per point."""
         return self.joint_weight * self.arm.length / sqrt(self.arm.n_modules)
 
-    @property
+    @cached_property
     def active(self) -> tuple[int, ...]:
         """The control points that have a target."""
         return self._layout.active
 
-    @property
+    @cached_property
     def has_tasks(self) -> bool:
         """Whether there are further tasks; points and chords alone are solved by a pass along the chain."""
         return bool(self.tasks)
@@ -197,7 +197,10 @@ class Objective:
 
     def with_target(self, target: Target) -> Objective:
         """Return the same objective for another target."""
-        return replace(self, target=target)
+        other = replace(self, target=target)
+        if np.array_equal(target.weights, self.target.weights):
+            vars(other)["_layout"] = self._layout
+        return other
 
     def rows(self, state: ChainState) -> LinearRows:
         """Return all rows without priority, times the roots of their weights."""

@@ -85,7 +85,8 @@ class JointPath:
     @cached_property
     def positions(self) -> Array:
         """Joint positions at the start, (nv,) [rad or m]."""
-        return self.arm.difference(self.arm.origin, self.start)
+        arm = self.objective.arm
+        return arm.difference(arm.origin, self.start)
 
     @cached_property
     def slopes(self) -> Array:
@@ -150,9 +151,9 @@ class JointPath:
 
     def offset_of(self, state: ChainState, place: float) -> Array:
         """Return the displacement (nv,) from the start to a state near a place, with full turns of joints."""
-        filled = np.empty(self.arm.nv)
+        filled = np.empty(state.arm.nv)
         kernels.path_offset(
-            self.offsets, self.positions, state.raw_positions, self.arm.kinematics.endless, place, filled
+            self.offsets, self.positions, state.raw_positions, state.arm.kinematics.endless, place, filled
         )
         return filled
 
@@ -568,8 +569,9 @@ def timed_again(
         effort: likewise.
         strict: whether a path that the motors cannot hold is refused.
     """
-    bounds = limits.for_arm(path.arm)
-    torques = profile_effort(path.arm, bounds, effort)
+    arm = path.objective.arm
+    bounds = limits.for_arm(arm)
+    torques = profile_effort(arm, bounds, effort)
     profile = None
     if bounds.brake is not None or torques is not None or np.all(np.isfinite(max_rate)):
         path = path.within(bounds.edges)

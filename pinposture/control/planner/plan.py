@@ -642,7 +642,7 @@ def _known_goal(objective: Objective, edges: Array, before: Array) -> ChainState
     q = objective.target.q
     if q is None or len(objective.active) < arm.n_modules:
         return None
-    goal = arm.chain_at(arm.nearest_turns(q, before, edges))
+    goal = ChainState(arm, arm.nearest_turns(q, before, edges))
     inside = kernels.position_excess(goal.raw_positions, edges, arm.kinematics.columns) == 0.0
     return goal if inside and objective.mean_error(goal) <= GOAL_TOLERANCE * arm.length else None
 
