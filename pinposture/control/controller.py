@@ -315,12 +315,11 @@ def _require_memory(name: str, memory: object, nv: int) -> None:
 
 def _is_displacement(value: object, nv: int) -> bool:
     """Return whether a value is an array of finite numbers, (nv,)."""
-    return (
-        isinstance(value, np.ndarray)
-        and value.shape == (nv,)
-        and value.dtype.kind in "iuf"
-        and bool(np.all(np.abs(value) <= LARGEST_COORDINATE))
-    )
+    if not (isinstance(value, np.ndarray) and value.shape == (nv,) and value.dtype.kind in "iuf"):
+        return False
+    if value.dtype.kind == "f" and np.vdot(value, value) <= LARGEST_COORDINATE**2:  # as in nearly every call
+        return True
+    return bool(np.all(np.abs(value) <= LARGEST_COORDINATE))
 
 
 def _is_mask(value: object, nv: int) -> bool:
