@@ -327,12 +327,8 @@ class FitProblem:
         lengths = arm.chain.module_lengths
         # A module may have zero length, or get longer by sliding.
         longest = MAX_SPACING * np.maximum(lengths, lengths.mean())
-        # Solvers scale by the distance to finite bounds and lose accuracy if it is huge.
-        unlimited = arm.unlimited[columns]
-        lower = np.where(unlimited, -np.inf, arm.limits.lower[columns])
-        upper = np.where(unlimited, np.inf, arm.limits.upper[columns])
-        self.lower = np.concatenate([lower, MIN_SPACING * lengths]) / self._units
-        self.upper = np.concatenate([upper, longest]) / self._units
+        self.lower = np.concatenate([arm.limits.lower[columns], MIN_SPACING * lengths]) / self._units
+        self.upper = np.concatenate([arm.limits.upper[columns], longest]) / self._units
         straight = np.concatenate([self._rest[columns], lengths]) / self._units
         self.straight = np.clip(straight, self.lower, self.upper)
 
