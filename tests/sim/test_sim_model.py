@@ -160,7 +160,7 @@ def test_robots_of_others_have_the_masses_that_pinocchio_finds(name):
 def test_an_arm_whose_description_is_another_one_is_refused():
     arm = arm_named("placed")
     other = pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
-    mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
+    mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, urdf=other.urdf)
     with pytest.raises(URDFError, match=r"control point 'module_06'.* differs by 0\.\d+ mm between MuJoCo"):
         sim.build_plant_model(mixed)
 
@@ -168,7 +168,7 @@ def test_an_arm_whose_description_is_another_one_is_refused():
 def test_an_arm_with_joints_that_its_description_lacks_is_refused():
     arm = arm_named("placed")
     other = arm_named("RyRz")
-    mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
+    mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, urdf=other.urdf)
     with pytest.raises(URDFError, match=r"joint 'm01_j1_z': is not a moving joint"):
         sim.build_plant_model(mixed)
 
@@ -224,7 +224,7 @@ def test_a_mass_that_is_none_is_named(number):
         arm.model,
         arm.control_points,
         None,
-        arm.urdf.replace('<mass value="1.2"', f'<mass value="{number}"', 1),
+        urdf=arm.urdf.replace('<mass value="1.2"', f'<mass value="{number}"', 1),
     )
     with pytest.raises(URDFError, match="link 'a': <mass> value is"):
         sim.build_plant_model(bad)
