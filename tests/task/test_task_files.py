@@ -170,7 +170,7 @@ def test_files_are_looked_for_beside_the_one_that_names_them(tmp_path: Path, mon
             "m01_l2",
             "tip",
             1,
-            {"m06_j2_z": np.pi / 4},
+            locked={"m06_j2_z": np.pi / 4},
             base_placement=pin.SE3(np.eye(3), np.array([0, 0, 1.0])),
         )
     q = wanted.random(np.random.default_rng(0))
