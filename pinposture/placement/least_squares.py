@@ -153,19 +153,29 @@ def fit_curve(
         return problem.split(best)
     # If off the curve, this may be a local minimum: restart, from the straight arm and from the best in turn.
     rng = np.random.default_rng(0)
-    least = problem.distance(curve, best)
+    least = _distance(problem, curve, best, end < curve.length)
     agreeing = 0
     for number in range(RESTARTS_OF_FIT):
         if least <= problem.exact or agreeing == ALIKE_RESTARTS:
             break
         origin = best if number % 2 else problem.straight
         other = fit_from(problem, curve, problem.perturb(origin, rng), WHOLE)
-        found = problem.distance(curve, other)
+        found = _distance(problem, curve, other, end < curve.length)
         agreeing = agreeing + 1 if abs(found - least) <= SAME_DISTANCE * least else 0
         if found < least:
             best = other
             least = found
     return problem.split(problem.closed(curve, best))
+
+
+def _distance(problem: FitProblem, curve: Curve, unknowns: Array, longer: bool) -> float:
+    """Return the distance of a fit from its curve [m].
+
+    Beyond its end a curve goes on straight. An arm that is there although the curve is longer than the arm
+    has passed the windings before the end: its way beyond the end counts.
+    """
+    beyond = float(problem.split(unknowns)[1][-1]) - curve.length
+    return problem.distance(curve, unknowns) + (max(beyond, 0.0) if longer else 0.0)
 
 
 def fit_near(
