@@ -56,7 +56,7 @@ CEILINGS = {
     "subtractions from a target": 1,  # 1
     "codecs": 7,  # 6
     "control loops": 1,  # 1
-    "least-squares loops": 7,  # 3
+    "least-squares loops": 8,  # 3
     "box solvers": 7,  # 2
     "finders of a goal": 4,  # 1
     "forms of Algorithm 1": 2,  # 1
@@ -91,7 +91,8 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "kernels.branch_search.correct",  # ends of a few modules
         "kernels.branch_search.minimise_posture_errors",  # points
         "kernels.path_relaxation.relax_waypoints",  # one waypoint after another
-        "placement.least_squares.fit_from",  # points on a curve
+        "placement.least_squares.FitProblem",  # points on a curve, by SciPy
+        "placement.least_squares.refined",  # the same near a solution
     ),
     "box solvers": (
         "control.planner.avoidance.solve",  # dense, with rows
@@ -100,7 +101,7 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "kernels.chain_solver.minimise_in_box",  # along the chain
         "kernels.constrained_step.minimise_with_rows",  # by the one before, with rows
         "kernels.path_relaxation.step_waypoints",
-        "placement.least_squares.fit_from",
+        "placement.least_squares.refined",
     ),
     "finders of a goal": (
         "control.planner.damped_least_squares.find_positions_near",  # within a cycle

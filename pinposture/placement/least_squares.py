@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import NamedTuple
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
@@ -21,17 +22,12 @@ Array = NDArray[np.float64]
 
 TURN_PER_STAGE = 2.0  # largest turn of the curve's tip between stages of bending [rad]
 
-RESTARTS_OF_FIT = 6
+RESTARTS_OF_FIT = 4
 RESTART_NOISE = 0.3
-"""Number of restarts, and standard deviation of their perturbations [rad, or arm lengths]. With 4, or with
-starts at the best fit alone, 9 to 13 of 48 fits of UR5, Panda and an arm of 12 unlike joints are worse."""
-
-ALIKE_RESTARTS = 2
-SAME_DISTANCE = 1e-3
-"""Number of consecutive restarts that end at the same distance from the curve and spare the rest, and the
-largest relative difference of such distances."""
+"""Number of restarts, and standard deviation of their perturbations [rad, or arm lengths]."""
 
 EXACT_FIT = 1e-6  # root mean square distance from the curve below which there are no restarts, in arm lengths
+ROUGH_EVALUATIONS = 6  # number of evaluations at the final curve for a rough fit
 
 SAMPLES_PER_MODULE = 12
 """Curve samples per module in all stages but the last, which uses the curve itself."""
@@ -40,40 +36,18 @@ MIN_SPACING = 0.05
 MAX_SPACING = 3.0
 """Bounds on the arc length between neighbouring control points, in module lengths."""
 
-MAX_STEP = 0.2
-MIN_STEP = 1e-7
-MIN_COST = 1e-24
-"""Largest step of a fit [rad, or arm lengths]; step and cost at which it has converged."""
+REFINE_STEPS = 12
+REFINE_MAX_STEP = 0.2
+"""Maximum number and size of steps of `refined` [rad, or arm lengths]."""
 
-MAX_IDLE = 3
-"""Number of consecutive steps that hardly lower the sum of squares (`FitProblem.settled`) that end a fit."""
+REFINE_MIN_STEP = 1e-7
+REFINE_MIN_COST = 1e-24
+"""Step [rad, or arm lengths] and cost at which `refined` has converged."""
 
-MIN_DAMPING = 1e-11
-DAMPING_DOWN = 0.1
-DAMPING_UP = 10.0
-LAST_DAMPING = 1e6
-"""Smallest damping of a fit, relative to `stiffness`, its factors after better and worse steps, and that at
-which the fit ends."""
-
-
-class FitSettings(NamedTuple):
-    """How far a fit goes from its guess.
-
-    Attributes:
-        steps: largest number of steps.
-        damping: initial damping, relative to `stiffness`: small near the minimum, larger far from it.
-    """
-
-    steps: int
-    damping: float
-
-
-NEAR = FitSettings(12, MIN_DAMPING)
-ROUGH = FitSettings(12, 0.1)
-WHOLE = FitSettings(120, 0.1)
-"""Settings of a fit from a nearby guess, of a stage of bending or a rough fit, and of a whole fit.
-With an initial damping of 1e-3, 14 of 48 fits to points ended in a worse minimum than those of SciPy's
-`least_squares`, with 0.01 to 1 one to six; with half the steps twice as many."""
+REFINE_DAMPING = 1e-11
+REFINE_DAMPING_DOWN = 0.1
+REFINE_DAMPING_UP = 10.0
+"""Smallest damping of `refined`, relative to `stiffness`, and its factors after better and worse steps."""
 
 LOOK_AHEAD = 2.0
 LOOK_AHEAD_SAMPLES = 64
@@ -147,35 +121,14 @@ def fit_curve(
     unknowns = problem.straight
     for share in np.arange(stages) / max(stages, 1):
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
-        unknowns = fit_from(problem, partial, unknowns, ROUGH)
-    best = fit_from(problem, curve, unknowns, ROUGH if rough else WHOLE)
-    if rough:
-        return problem.split(best)
-    # If off the curve, this may be a local minimum: restart, from the straight arm and from the best in turn.
+        unknowns = problem.solve(partial, unknowns, evaluations=4)
+    best = problem.solve(curve, unknowns, evaluations=ROUGH_EVALUATIONS if rough else 60)
+    # If off the curve, this may be a local minimum: restart, with reproducible perturbations.
     rng = np.random.default_rng(0)
-    least = _distance(problem, curve, best, end < curve.length)
-    agreeing = 0
-    for number in range(RESTARTS_OF_FIT):
-        if least <= problem.exact or agreeing == ALIKE_RESTARTS:
-            break
-        origin = best if number % 2 else problem.straight
-        other = fit_from(problem, curve, problem.perturb(origin, rng), WHOLE)
-        found = _distance(problem, curve, other, end < curve.length)
-        agreeing = agreeing + 1 if abs(found - least) <= SAME_DISTANCE * least else 0
-        if found < least:
-            best = other
-            least = found
-    return problem.split(problem.closed(curve, best))
-
-
-def _distance(problem: FitProblem, curve: Curve, unknowns: Array, longer: bool) -> float:
-    """Return the distance of a fit from its curve [m].
-
-    Beyond its end a curve goes on straight. An arm that is there although the curve is longer than the arm
-    has passed the windings before the end: its way beyond the end counts.
-    """
-    beyond = float(problem.split(unknowns)[1][-1]) - curve.length
-    return problem.distance(curve, unknowns) + (max(beyond, 0.0) if longer else 0.0)
+    for _ in range(RESTARTS_OF_FIT if not rough and problem.distance(curve, best) > problem.exact else 0):
+        other = problem.solve(curve, problem.perturb(best, rng), evaluations=60)
+        best = min(best, other, key=lambda x: problem.distance(curve, x))
+    return problem.split(best if rough else problem.closed(curve, best))
 
 
 def fit_near(
@@ -203,9 +156,9 @@ def fit_near(
         parameters = _nearest_parameters(arm, curve, start, q)
     guess = problem.joined(arm.positions(q), parameters)
     guess = np.clip(guess, problem.lower, problem.upper)
-    found = fit_from(problem, curve, guess)
+    found = refined(problem, curve, guess)
     if isinstance(problem, SlidingFit) and not problem.converged(curve, found):
-        found = fit_from(problem, curve, guess, WHOLE)
+        found = problem.solve(curve, guess, evaluations=60)
     return problem.split(problem.closed(curve, found))
 
 
@@ -315,11 +268,11 @@ class FitProblem:
         columns: tangent space indices of the joints, (n,).
         reach: length of the arm with its slides extended [m].
         exact: distance below which the fit needs no restart, in arm lengths.
-        settled: relative decrease of the sum of squares in a step that counts as none.
+        settled: relative decrease of the sum of squares below which the fit ends.
     """
 
     exact = EXACT_FIT
-    settled = 1e-6
+    settled = 1e-15
 
     def __init__(self, arm: Arm, start: float, bending: float, base: Array | None = None) -> None:
         self.reach = arm.length
@@ -337,8 +290,12 @@ class FitProblem:
         lengths = arm.chain.module_lengths
         # A module may have zero length, or get longer by sliding.
         longest = MAX_SPACING * np.maximum(lengths, lengths.mean())
-        self.lower = np.concatenate([arm.limits.lower[columns], MIN_SPACING * lengths]) / self._units
-        self.upper = np.concatenate([arm.limits.upper[columns], longest]) / self._units
+        # Solvers scale by the distance to finite bounds and lose accuracy if it is huge.
+        unlimited = arm.unlimited[columns]
+        lower = np.where(unlimited, -np.inf, arm.limits.lower[columns])
+        upper = np.where(unlimited, np.inf, arm.limits.upper[columns])
+        self.lower = np.concatenate([lower, MIN_SPACING * lengths]) / self._units
+        self.upper = np.concatenate([upper, longest]) / self._units
         straight = np.concatenate([self._rest[columns], lengths]) / self._units
         self.straight = np.clip(straight, self.lower, self.upper)
 
@@ -390,6 +347,25 @@ class FitProblem:
         held.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths)
         held.upper[n:] = np.maximum(self.upper[n:], MAX_SPACING * np.maximum(lengths, lengths.mean()))
         return held
+
+    def solve(self, curve: Samples | Curve, guess: Array, evaluations: int) -> Array:
+        """Minimise from an initial guess, with a limited number of evaluations."""
+
+        @lru_cache(maxsize=1)  # the solver requests the residual and the Jacobian in turn
+        def evaluate(unknowns: bytes) -> tuple[Array, Array]:
+            return self.evaluate(curve, np.frombuffer(unknowns))
+
+        solution = least_squares(
+            lambda x: evaluate(x.tobytes())[0],
+            guess,
+            jac=lambda x: evaluate(x.tobytes())[1],
+            bounds=(self.lower, self.upper),
+            ftol=self.settled,
+            xtol=1e-12,
+            gtol=1e-15,
+            max_nfev=evaluations,
+        )
+        return np.asarray(np.clip(solution.x, self.lower, self.upper))
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
         """Return the residuals (3 m + n,) and their Jacobian (3 m + n, n + m)."""
@@ -482,7 +458,7 @@ class SlidingFit(FitProblem):
         points._only_points = True
         points._tip_weight = 1.0
         points._end = min(tip, curve.length - END_MARGIN * length)
-        return fit_from(points, curve, unknowns, weight=CLOSING_WEIGHT)
+        return refined(points, curve, unknowns, weight=CLOSING_WEIGHT)
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
         """Return the residuals and their Jacobian as `FitProblem.evaluate`, and the additional rows."""
@@ -538,11 +514,10 @@ class SlidingFit(FitProblem):
         return np.einsum("pij,pj->pi", across, gaps).ravel(), (across @ jacobians).reshape(-1, self._joints)
 
 
-def fit_from(
+def refined(
     problem: FitProblem,
     curve: Samples | Curve,
     guess: Array,
-    settings: FitSettings = NEAR,
     before: Array | None = None,
     weight: float = 0.0,
     reach: float = np.inf,
@@ -553,7 +528,6 @@ def fit_from(
         problem: the problem to minimise.
         curve: the curve.
         guess: initial unknowns, (n + m,).
-        settings: number of steps and initial damping.
         before: unknowns to stay near, (n + m,); the guess if None.
         weight: weight of the squared distance from `before`.
         reach: largest deviation of joints from `before` [rad, or arm lengths].
@@ -564,34 +538,32 @@ def fit_from(
     lower = np.maximum(problem.lower, anchor - margin)
     upper = np.minimum(problem.upper, anchor + margin)
     x = np.clip(guess, lower, upper)
-    damping = settings.damping
-    idle = 0
+    damping = REFINE_DAMPING
+    largest = REFINE_MAX_STEP
     residual, jacobian = problem.evaluate(curve, x)
     cost = float(residual @ residual + weight * ((x - anchor) @ (x - anchor)))
-    for _ in range(settings.steps):
+    for _ in range(REFINE_STEPS):
         gradient = jacobian.T @ residual + weight * (x - anchor)
         hessian = jacobian.T @ jacobian
         hessian[np.diag_indices(len(x))] += weight + damping * stiffness(problem, hessian)
         free = np.flatnonzero(~(((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))))
         step = np.zeros(len(x))
         step[free] = np.linalg.solve(hessian[np.ix_(free, free)], -gradient[free])
-        step *= min(1.0, MAX_STEP / max(float(np.abs(step).max()), 1e-300))
+        step *= min(1.0, REFINE_MAX_STEP / max(float(np.abs(step).max()), 1e-300))
         trial = np.clip(x + step, lower, upper)
         trial_residual, trial_jacobian = problem.evaluate(curve, trial)
-        away = trial - anchor
-        trial_cost = float(trial_residual @ trial_residual + weight * (away @ away))
+        trial_cost = trial_residual @ trial_residual + weight * ((trial - anchor) @ (trial - anchor))
         if trial_cost <= cost:
-            idle = idle + 1 if trial_cost > (1.0 - problem.settled) * cost else 0
-            converged = trial_cost <= MIN_COST or float(np.abs(trial - x).max()) <= MIN_STEP
+            largest = float(np.abs(trial - x).max())
             x = trial
-            cost = trial_cost
+            cost = float(trial_cost)
             residual = trial_residual
             jacobian = trial_jacobian
-            damping = max(damping * DAMPING_DOWN, MIN_DAMPING)
+            damping = max(damping * REFINE_DAMPING_DOWN, REFINE_DAMPING)
         else:
-            damping *= DAMPING_UP
-            converged = damping > LAST_DAMPING
-        if converged or idle >= MAX_IDLE:
+            damping *= REFINE_DAMPING_UP
+            largest = REFINE_MAX_STEP if damping < 1.0 else 0.0
+        if largest <= REFINE_MIN_STEP or cost <= REFINE_MIN_COST:
             break
     return np.asarray(x)
 

@@ -29,7 +29,7 @@ from pinposture.curve.curve import CurveField
 from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, raise_together, warn_caller
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
-from pinposture.placement.least_squares import NEAR, FitProblem, fit_from, stiffness
+from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import is_compiled, unit_arrays
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
 from pinposture.placement.target import beginning, fitting_slides, length_misfit
@@ -807,5 +807,5 @@ class LeastSquaresFollower:
         for i in range(1, count):
             before = found[i - 1]
             guess = before + (before - found[i - 2] if i > 1 else 0.0)
-            found[i] = fit_from(problems[i], curves[i], guess, NEAR, before, weight, travel / count)
+            found[i] = refined(problems[i], curves[i], guess, before, weight, travel / count)
         return found

@@ -23,7 +23,7 @@ from pinposture.arm import Arm
 from pinposture.control.limits import Limits
 from pinposture.control.reach import require_within_reach
 from pinposture.errors import InvalidValue, OutOfReach, warn_caller
-from pinposture.placement.least_squares import FitProblem, fit_from
+from pinposture.placement.least_squares import FitProblem, refined
 from pinposture.task.keyframe import (
     CONTINUITIES,
     MOST_CYCLES,
@@ -374,14 +374,14 @@ class RowSolver:
         solved = np.append(np.arange(0, count - 1, math.ceil((count - 1) / MOST_SOLVED)), count - 1)
         bent = curves.of(start.row + solved)
         problems = [problem_at(row) for row in (start.row + solved).tolist()]
-        fitted = fit_from(problems[0], bent[0], start.unknowns)
+        fitted = refined(problems[0], bent[0], start.unknowns)
         shift = start.unknowns - fitted
         zero = np.zeros(len(fitted))
         travel = max(MIN_TRAVEL, TRAVEL_RATIO * float(np.abs(end.unknowns - fitted).max()))
         forward = _filled(solved, self._follower.follow(bent, problems, fitted, travel))
         arrival = problems[-1]
         last = bent[-1]
-        goal = end.unknowns if end.pinned else fit_from(arrival, last, forward[-1])
+        goal = end.unknowns if end.pinned else refined(arrival, last, forward[-1])
         left = goal - forward[-1]
         best = arrival.distance(last, end.unknowns)
         met = float(np.abs(left).max()) <= MAX_SHIFT
@@ -404,7 +404,7 @@ class RowSolver:
         module = 1.0 / self._arm.n_modules
         if met and excess <= EQUAL_ERROR and max(between) <= best + MAX_EXTRA_ERROR * module:
             return forward
-        arrived = fit_from(arrival, last, end.unknowns)
+        arrived = refined(arrival, last, end.unknowns)
         backward = self._follower.follow(bent[::-1], problems[::-1], arrived, travel)[::-1]
         backward = _filled(solved, backward) + ramp(count, zero, end.unknowns - arrived)
         starts = np.unique(np.linspace(0, count - 1 - window(count), CROSSFADE_STARTS).astype(np.int64))

@@ -98,19 +98,6 @@ def test_such_an_arm_is_not_said_to_follow_a_helix(name):
         pp.resolve_targets(arm, helix)
 
 
-@pytest.mark.parametrize("radius", [0.05, 0.06, 0.08])
-def test_an_arm_of_one_long_module_ends_on_a_longer_helix(radius):
-    """Not beyond its end, where the curve goes on straight."""
-    arm = load(awkward_arms()["long_module7"], modules=7)
-    helix = pp.Curve.helix(radius=radius * arm.length, pitch=0.15 * arm.length, turns=4)
-    with pytest.warns(PostureWarning, match="does not follow the curve"):
-        target = pp.resolve_targets(arm, helix)
-    tip = arm.at(target.q).points[-1]
-    laid = target.curve
-    nearest = np.linalg.norm(laid.at(np.linspace(0.0, laid.length, 20001)) - tip, axis=1).min()
-    assert nearest < 1e-4 * arm.length
-
-
 def test_control_points_on_the_curve_do_not_hide_links_beside_it():
     arm = load(awkward_arms()["long_module7"], modules=7)  # one control point, at the tip
     helix = pp.Curve.helix(radius=0.06 * arm.length, pitch=0.15 * arm.length, turns=4)
