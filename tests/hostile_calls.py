@@ -295,7 +295,16 @@ SUBJECTS: dict[str, Callable[[], Any]] = {
 
 RESULTS = (
     *("Batch", "Run", "Trajectory", "JointTrajectory", "ReachedPosture", "JointPath", "TimedPath"),
-    *("ArmState", "JointLimits", "Step", "Ellipsoid", "Feasibility", "PostureError", "PostureWarning"),
+    *(
+        "ArmState",
+        "JointLimits",
+        "Step",
+        "Ellipsoid",
+        "Feasibility",
+        "Hold",
+        "PostureError",
+        "PostureWarning",
+    ),
 )
 """What functions return; users do not make them."""
 ON_FILES = (

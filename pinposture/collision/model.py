@@ -450,8 +450,7 @@ class CollisionModel:
     def solids(self) -> list[tuple[int, Solid]]:
         """The bodies of the arm: the joint that carries each, and the solid in the frame of that joint."""
         turns = self._kinematics.turns
-        pairs = zip(self._objects.joints, self._objects.solids, strict=True)
-        return [(int(joint), solid.turned(turns[joint].T)) for joint, solid in pairs]
+        return [(int(joint), solid.turned(turns[joint].T)) for joint, solid in self._solids]
 
     @property
     def index_pairs(self) -> list[IndexPair]:
@@ -510,7 +509,7 @@ class CollisionModel:
         self._model = arm.model
         self._plane = np.array(arm.plane)
         self._space = ConfigurationSpace(arm.model)
-        self._objects = choice.objects
+        self._solids = list(zip(choice.objects.joints, choice.objects.solids, strict=True))
         self._kinematics = choice.objects.kinematics
         self._arm_length = arm.length
         self._numbers = {name: [] for name in scene.obstacles}

@@ -68,6 +68,7 @@ def test_distances_are_those_of_coal_and_never_larger(seed):
             assert distance == pytest.approx(by_coal, abs=2e-6)
 
 
+@pytest.mark.filterwarnings("ignore:.*nothing keeps them apart")
 @pytest.mark.long
 @pytest.mark.parametrize("name", ARMS)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.01, 0.1, 0.5]))
