@@ -44,7 +44,7 @@ CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 203,  # 170
     "definitions": 4367,
-    "constants": 1303,
+    "constants": 1298,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
