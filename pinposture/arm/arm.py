@@ -86,6 +86,7 @@ from pinposture.arm.weight import (
     added_masses,
     check_masses,
     effort_limits,
+    heaviest_load,
     largest_payload,
     links_without_mass,
     load_of,
@@ -1424,9 +1425,7 @@ class ArmState(ABC):
         arm = self.arm
         if not arm.torques_known:
             return None
-        torques = np.abs(self._gravity_torques())
-        worst = int((torques / arm.effort).argmax())
-        return load_of(arm.drives[worst], float(torques[worst]), float(arm.effort[worst]))
+        return heaviest_load(arm.drives, self._gravity_torques(), arm.effort)
 
     @abstractmethod
     def _gravity_torques(self) -> Array:

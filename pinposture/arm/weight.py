@@ -587,6 +587,19 @@ def load_of(drive: Drive, torque: float, limit: float) -> JointLoad:
     return JointLoad(drive.joint, torque / ratio, limit / ratio, not drive.turns)
 
 
+def heaviest_load(drives: Sequence[Drive], torques: Array, limits: Array) -> JointLoad:
+    """Return the load of the drive that needs most of its limit.
+
+    Args:
+        drives: the drive behind each degree of freedom.
+        torques: the torques or forces along them, (nv,) [N m or N].
+        limits: the largest ones, (nv,) [N m or N].
+    """
+    needed = np.abs(torques)
+    worst = int((needed / limits).argmax())
+    return load_of(drives[worst], float(needed[worst]), float(limits[worst]))
+
+
 class HeldOut(NamedTuple):
     """How far an arm can be held straight out, with gravity from whichever direction is worst for a joint.
 

@@ -187,7 +187,8 @@ def reach(
         limits: the margin to position limits, and the torque limits that the postures and paths keep;
             `Limits()` if None.
         objective: "dexterity" prefers postures in which the tip can move in all directions; "torque" those
-            in which the motors need the smallest shares of their torque limits.
+            in which the motors need the smallest shares of their torque limits: those of `limits`, or else of
+            the arm.
 
     Returns:
         1 to `count` postures, the best first. In any two of them, some point of the arm differs by at least
@@ -209,7 +210,8 @@ def reach(
     require_known("objective", objective, OBJECTIVES)
     if objective == "torque":
         arm.require_masses()
-        arm.require_effort()
+        if limits is None or limits.effort is None:
+            arm.require_effort()
     require_whole("count", count, 1)
     require_whole("seed", seed, 0)
     require_positive("budget", budget)
@@ -444,7 +446,11 @@ class _Search:
         bounds = limits.for_arm(arm)
         self.edges = bounds.edges
         self.torque_limits = None if bounds.effort is None else TorqueLimits(arm, bounds.effort)
-        self.torques = TorqueLimits(arm, arm.effort) if objective == "torque" else None
+        self.torques = self.torque_limits
+        if objective != "torque":
+            self.torques = None
+        elif self.torques is None:
+            self.torques = TorqueLimits(arm, arm.effort)
         columns = arm.columns
         self.columns = columns[self.edges[1, columns] > self.edges[0, columns]]
         self.units = arm.joint_units[self.columns]

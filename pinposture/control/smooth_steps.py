@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.arm.weight import load_of
+from pinposture.arm.weight import heaviest_load
 from pinposture.control.limits import JerkFilter, JointBounds, Limits
 from pinposture.errors import InvalidValue
 
@@ -164,11 +164,8 @@ class RateCheck:
         if bounds.effort is not None and positions is not None:
             gentlest = change / max(before, duration)
             torques = self._arm.dynamics.inverse_dynamics(positions[None], mean_speed[None], gentlest[None])
-            shares = np.abs(torques[0]) / bounds.effort
-            worst = int(shares.argmax())
-            if shares[worst] > 1.0 + RATE_ROUNDING:
-                largest = float(bounds.effort[worst])
-                load = load_of(self._arm.drives[worst], largest * float(shares[worst]), largest)
+            load = heaviest_load(self._arm.drives, torques[0], bounds.effort)
+            if load.share > 1.0 + RATE_ROUNDING:
                 words += (f"torque limit: {load} for this step",)
         return words
 

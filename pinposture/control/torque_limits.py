@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ChainState, JointLoad
-from pinposture.arm.weight import load_of
+from pinposture.arm.weight import heaviest_load
 from pinposture.control.constraint import VIOLATION_ROUNDING, Sides
 from pinposture.control.limits import Limits
 from pinposture.errors import InvalidValue
@@ -56,9 +56,8 @@ class TorqueLimits:
 
     def heaviest(self, positions: Array) -> JointLoad:
         """Return the joint that needs most of its limit at joint positions (nv,)."""
-        torques = np.abs(self._arm.dynamics.gravity_torques(positions))
-        worst = int((torques / self._limits).argmax())
-        return load_of(self._arm.drives[worst], float(torques[worst]), float(self._limits[worst]))
+        torques = self._arm.dynamics.gravity_torques(positions)
+        return heaviest_load(self._arm.drives, torques, self._limits)
 
     def describe(self, positions: Array) -> tuple[str, ...]:
         """Return a message if a limit is exceeded at joint positions (nv,)."""

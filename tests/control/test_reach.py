@@ -280,6 +280,9 @@ def test_an_unknown_objective_is_named(arm):
 def test_low_torque_needs_masses_and_torque_limits(arm):
     with pytest.raises(WeightUnknown, match="effort"):
         pp.reach(arm, (0.3, 0.1, 0.1), objective="torque")
+    (found,) = pp.reach(arm, (0.3, 0.1, 0.1), objective="torque", limits=pp.Limits(effort=2.0))
+    torques = pin.computeGeneralizedGravity(arm.model, arm.model.createData(), found.q)
+    assert found.score == pytest.approx(1.0 - np.abs(torques).max() / 2.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
