@@ -365,6 +365,7 @@ def _write_chain(robot: ET.Element, modules: Sequence[ModuleTemplate]) -> None:
     ET.SubElement(robot, "link", name="base")
     parent = "base"
     distance = 0.0
+    contents: dict[tuple[float, float, str], list[ET.Element]] = {}  # of links, which are often alike
     for m, module in enumerate(modules, start=1):
         names: list[str] = []
         distance += module.lead
@@ -388,15 +389,19 @@ def _write_chain(robot: ET.Element, modules: Sequence[ModuleTemplate]) -> None:
                 follows=None if spec.follows is None else Follows(names[spec.follows], spec.ratio),
             )
             write_joint(robot, joint)
-            _write_link(robot, child, length, module.radius, "odd" if m % 2 else "even")
+            look = (length, module.radius, "odd" if m % 2 else "even")
+            if look not in contents:
+                contents[look] = _link_content(*look)
+            ET.SubElement(robot, "link", name=child).extend(contents[look])
             parent = child
             distance = length
     write_joint(robot, JointDescription("tip_joint", "fixed", parent, "tip", (distance, 0.0, 0.0)))
     ET.SubElement(robot, "link", name="tip")
 
 
-def _write_link(robot: ET.Element, name: str, length: float, radius: float, colour: str) -> None:
-    link = ET.SubElement(robot, "link", name=name)
+def _link_content(length: float, radius: float, colour: str) -> list[ET.Element]:
+    """Return the mass and the shapes of a link: a ball at its joint, and a tube along x."""
+    link = ET.Element("link")
     mass, center, along, across = link_inertia(length, radius)
     write_inertial(link, RigidBody(mass, np.array([center, 0.0, 0.0]), np.diag([along, across, across])))
     for tag in ("visual", "collision"):
@@ -404,6 +409,7 @@ def _write_link(robot: ET.Element, name: str, length: float, radius: float, colo
         if length > 0.0:
             tube = {"radius": (radius,), "length": (length,)}
             _write_solid(link, tag, colour, length / 2.0, ShapeDescription("cylinder", tube))
+    return list(link)
 
 
 def _write_solid(link: ET.Element, tag: str, colour: str, center: float, shape: ShapeDescription) -> None:

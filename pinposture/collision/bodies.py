@@ -56,17 +56,16 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
         The bodies. Links with missing meshes or invalid geometry get stand-ins, and one `PostureWarning`
         names them all. If no moving link has geometry in the description, all moving links get stand-ins.
     """
-    radius = STAND_IN_RADIUS * float(arm.chain.module_lengths.mean()) if arm_radius is None else arm_radius
-    stand_ins = _stand_ins(arm, radius)
     if arm_radius is not None or arm.urdf is None or "<collision" not in arm.urdf:
-        return tuple(body for bodies in stand_ins.values() for body in bodies)
+        return tuple(body for bodies in _stand_ins(arm, arm_radius).values() for body in bodies)
     described, faults = described_bodies(arm)
     bodies = _merge_capsules(arm.model, described)
     lacking = list(dict.fromkeys(joint for _, joint, _ in faults))
-    if not any(lacking) and not any(body.joint for body in described):  # geometry of the base alone
-        lacking = list(stand_ins)
-    for joint in lacking:
-        bodies.extend(stand_ins.get(joint, ()))
+    base_alone = not any(lacking) and not any(body.joint for body in described)
+    if lacking or base_alone:
+        stand_ins = _stand_ins(arm)
+        for joint in stand_ins if base_alone else lacking:
+            bodies.extend(stand_ins.get(joint, ()))
     wide = [
         (float(np.ptp(body.shape.vertices, axis=0).max()), body.name)
         for body in described
@@ -214,11 +213,17 @@ def _two_postures(model: pin.Model) -> list[list[pin.SE3]]:
     return postures
 
 
-def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
+def _stand_ins(arm: Arm, radius: float | None = None) -> Mapping[int, tuple[Body, ...]]:
     """Return stand-in capsules by joint index, each past its control point to the next joint or the tip.
 
     The capsule of a prismatic joint reaches back by the joint's upper limit, so that no gap opens.
+
+    Args:
+        arm: the arm.
+        radius: their radius [m]; None: `STAND_IN_RADIUS`.
     """
+    if radius is None:
+        radius = STAND_IN_RADIUS * float(arm.chain.module_lengths.mean())
     model = arm.model
     chain = arm.chain
     frames = neutral_placements(arm.model)

@@ -100,17 +100,14 @@ def require_wide_pipe(reference: Reference, scene: Scene, radius: float) -> None
 
 def _ways(reference: Reference, scene: Scene) -> Iterator[tuple[Waypoint, NDArray[np.int64], Array]]:
     """Yield the end of each way that the arm has to follow, rows on it, and the clearance at each [m]."""
-    model = CollisionModel(reference.arm, scene)
     first = 0
     for waypoint in reference.waypoints:
         if waypoint.way is not None:
+            model = CollisionModel(reference.arm, scene)  # made on first use, which takes long
             count = min(waypoint.row - first + 1, MAX_CHECKED_ROWS)
             rows = np.unique(np.linspace(first, waypoint.row, count).astype(np.int64))
-            yield (
-                waypoint,
-                rows,
-                np.array([model.minimum(reference.configuration(int(k))).distance for k in rows]),
-            )
+            configurations = [reference.configuration(row) for row in rows.tolist()]
+            yield waypoint, rows, np.array([model.minimum(q).distance for q in configurations])
         first = waypoint.row
 
 
