@@ -163,7 +163,7 @@ def run(
     check: Annotated[
         bool,
         OUTPUT(
-            "Only check whether the arm can take the postures, and their clearance from the scene.",
+            "Only check whether the arm can take and hold the postures, and their clearance from the scene.",
             flags="--check",
         ),
     ] = False,
@@ -214,7 +214,12 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
     """Print the plan, and how well the arm can perform it."""
     found = task.feasibility(reference)
     places = [
-        {**each._asdict(), "moved": None if each.moved is None else each.moved._asdict()} for each in found
+        {
+            **each._asdict(),
+            "moved": None if each.moved is None else each.moved._asdict(),
+            "overload": None if each.overload is None else each.overload.as_data(),
+        }
+        for each in found
     ]
     if as_json:
         print_json({"task": str(file), "keyframes": places, "planned": reference.duration})
@@ -231,13 +236,15 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
         )
         pairs = [" to ".join(place.pair) if place.pair else None for place in found]
         ways = [None if place.moved is None else str(place.moved) for place in found]
-        rows = [(*place[:-2], *words) for place, *words in zip(found, pairs, ways, strict=True)]
+        rows = [(*place[:5], *words) for place, *words in zip(found, pairs, ways, strict=True)]
         print_table(headings, rows)
     scene = task.surroundings(reference)
     for each in found:
         if crowded := each.crowding(scene.margin):
             print_note(f"{each.name}: {crowded}")
-    end_with([each.name for each in found if each.crowding(0.0)])
+        if each.overload is not None:
+            print_note(f"{each.name}: {each.overload}")
+    end_with([each.name for each in found if each.crowding(0.0) or each.overload is not None])
 
 
 @contextmanager

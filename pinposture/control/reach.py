@@ -521,7 +521,7 @@ class _Search:
     def with_path(self, posture: ReachedPosture, start: Array, budget: float) -> ReachedPosture:
         """Return the posture at the turns at which its path ends, with the path, its ratio and its score."""
         arm = self.arm
-        path = plan(arm.at(start), posture.target, self.scene, self.limits, budget=budget)
+        path = plan(arm.at(start), posture.target, self.scene, self.limits, budget=budget, strict=False)
         q = arm.nearest_turns(posture.q, path.configurations[-1])
         limit_distance = _limit_distance(arm, q)
         units = arm.joint_units

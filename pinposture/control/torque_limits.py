@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,30 @@ from pinposture.control.limits import Limits
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
+
+
+class Overload(NamedTuple):
+    """What the motors lack to hold an arm still.
+
+    Attributes:
+        load: the joint that needs most of its limit.
+        excess: mass at the tip without which they could hold it [kg]; None if they could not without any.
+    """
+
+    load: JointLoad
+    excess: float | None
+
+    def __str__(self) -> str:
+        return f"{self.load} to hold the arm{self.remedy}"
+
+    def as_data(self) -> dict[str, str | float | None]:
+        """Return it as data for JSON."""
+        return {**self.load.as_data(), "excess": self.excess}
+
+    @property
+    def remedy(self) -> str:
+        """What would be little enough, in words; empty if that is not known."""
+        return "" if self.excess is None else f" (they could with {self.excess:.3g} kg less at the tip)"
 
 
 class TorqueLimits:
@@ -64,6 +89,11 @@ class TorqueLimits:
         load = self.heaviest(positions)
         return (f"torque limit: {load} to hold the arm",) if load.exceeded else ()
 
+    def overload(self, state: ChainState) -> Overload | None:
+        """Return what the motors lack to hold the arm at a state; None if they can."""
+        load = self.heaviest(state.raw_positions)
+        return Overload(load, self.excess_payload(state)) if load.exceeded else None
+
     def excess_payload(self, state: ChainState) -> float | None:
         """Return the smallest mass at the tip without which the motors could hold the arm [kg].
 
@@ -83,6 +113,15 @@ class TorqueLimits:
         return None if helpless or mass > float(most.min(initial=np.inf)) else mass
 
 
+def find_overload(arm: Arm, q: Array, limits: Limits) -> Overload | None:
+    """Return what the motors lack to hold an arm at a configuration (nq,), within torque limits of `limits`.
+
+    None if they can, or if there are no torque limits.
+    """
+    effort = limits.for_arm(arm).effort
+    return None if effort is None else TorqueLimits(arm, effort).overload(arm.chain_at(q))
+
+
 def require_held(arm: Arm, q: Array, limits: Limits, name: str) -> None:
     """Check that the motors hold an arm at a configuration (nq,), within torque limits of `limits`.
 
@@ -90,15 +129,7 @@ def require_held(arm: Arm, q: Array, limits: Limits, name: str) -> None:
         InvalidValue: a motor has not enough torque; names the joint that needs most, and the mass that is too
             much.
     """
-    effort = limits.for_arm(arm).effort
-    if effort is None:
-        return
-    torques = TorqueLimits(arm, effort)
-    state = arm.chain_at(q)
-    load = torques.heaviest(state.raw_positions)
-    if not load.exceeded:
-        return
-    mass = torques.excess_payload(state)
-    less = "" if mass is None else f" (they could with {mass:.3g} kg less at the tip)"
-    allowed = f"a posture that the motors can hold{less}; or strict=False, to run it anyway"
-    raise InvalidValue(name, str(load), allowed)
+    overload = find_overload(arm, q, limits)
+    if overload is not None:
+        allowed = f"a posture that the motors can hold{overload.remedy}; or strict=False, to run it anyway"
+        raise InvalidValue(name, str(overload.load), allowed)

@@ -17,7 +17,7 @@ from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import require_limits
-from pinposture.control.torque_limits import require_held
+from pinposture.control.torque_limits import find_overload, require_held
 from pinposture.motion import tolerances
 from pinposture.motion.loop import Callback, RecordedLoop, describe_arrival, in_scene
 from pinposture.motion.run import ENDINGS, RAISE_STEPS, Run
@@ -71,9 +71,14 @@ def ample_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
     return max(FEWEST_STEPS, ceil(min(needed, MAX_USUAL_STEPS)))
 
 
-def describe_blocked_goal(arm: Arm, target: Target, scene: Scene | None) -> str:
-    """Return a leading clause if the configuration of a target is too near to an obstacle, else ""."""
-    if target.q is None or scene is None:
+def describe_blocked_goal(arm: Arm, target: Target, limits: Limits, scene: Scene | None) -> str:
+    """Return a leading clause if the arm may not be at the configuration of a target, else ""."""
+    if target.q is None:
+        return ""
+    overload = find_overload(arm, target.q, limits)
+    if overload is not None:
+        return f"in the target posture, {overload}; "
+    if scene is None:
         return ""
     closest = CollisionModel(arm, scene).minimum(target.q)
     if closest.pair is None or closest.distance >= scene.margin:
@@ -160,7 +165,7 @@ def track(
     if status == "converged":  # at rest it may be nearer
         reason = describe_arrival(arm, loop.record.mean_error, tolerance)
     if status in ("stalled", "max_steps"):
-        reason = describe_blocked_goal(arm, target, scene) + reason
+        reason = describe_blocked_goal(arm, target, limits, scene) + reason
         if target.q is None and not isinstance(controller, Geodesic):
             reason += f"; {NO_CONFIGURATION}"
     if status == "max_steps":

@@ -30,6 +30,7 @@ from pinposture.control.limits import POSITION_SLACK, cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
+from pinposture.control.torque_limits import find_overload
 from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Blockage
@@ -83,8 +84,8 @@ class Report(NamedTuple):
         tracking_error: largest distance of a measured joint position from where drives with a lag of up to
             half a second would be, in `Arm.joint_units`; None without a usable measurement.
         target_age: sum of cycle times since the target was set [s]; None without a target.
-        violated_constraints: constraints that the step violates, as in `Step`, and the margin to
-            obstacles if the measured arm has lost it.
+        violated_constraints: constraints that the step violates, as in `Step`, the margin to obstacles if
+            the measured arm has lost it, and the torque limit if the motors cannot hold it at the target.
         step: the step that was sent, and what the controller says of it; None if it computed none. With a
             limit of jerk, `dq` and `error_increasing` are those after the filter, as in runs.
         time: how long `Tracker.step` took [s].
@@ -205,6 +206,8 @@ class Tracker:
         WeightUnknown: `compensate` without masses or stiffness, `touch` without masses.
         UnknownName: no such controller, interface or place of planning, or joint with a threshold of touch.
     """
+
+    _overload: tuple[Target, Limits, tuple[str, ...]] | None = None  # the last answer of `_lost_hold`
 
     def __init__(
         self,
@@ -365,6 +368,9 @@ class Tracker:
 
     def update(self, target: Target, velocity: ArrayLike | None = None) -> None:
         """Set the target for the next steps.
+
+        A target that the motors cannot hold within torque limits is not refused, so that a loop goes on: the
+        arm moves to a posture near it that they can hold, and `report.violated_constraints` names the joint.
 
         Args:
             target: the target. Update a moving target in each cycle, with its posture at the end of that
@@ -760,6 +766,7 @@ class Tracker:
         age = None if target is None else self._age
         relaxed = () if step is None else step.violated_constraints
         relaxed += self._lost_limits(relaxed) + self._lost_clearance() + self._lost_compensation()
+        relaxed += self._lost_hold()
         period = cycle_of(self._limits)
         duration = min(max(passed, MIN_CYCLE * period), period)
         bounds = self._limits.for_arm(self.arm)
@@ -833,6 +840,19 @@ class Tracker:
         allowed = f"{limits.lower[joint]:.4g} to {limits.upper[joint]:.4g} {unit}"
         name = self.arm.joint_names[joint]
         return (f"position limit: joint {name!r} is at {positions[joint]:.4g}, outside {allowed}",)
+
+    def _lost_hold(self) -> tuple[str, ...]:
+        """Return a message if the motors cannot hold the arm at the target."""
+        target = self._target
+        limits = self._limits
+        if target is None or target.q is None or limits.effort is None:
+            return ()
+        known = self._overload
+        if known is None or known[0] is not target or known[1] is not limits:
+            overload = find_overload(self.arm, target.q, limits)
+            words = () if overload is None else (f"torque limit at the target: {overload}",)
+            self._overload = known = target, limits, words
+        return known[2]
 
     def _lost_compensation(self) -> tuple[str, ...]:
         """Return a message if a joint cannot compensate sag within its position limits."""

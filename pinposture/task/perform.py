@@ -21,6 +21,7 @@ from pinposture.control.limits import DEFAULT_CYCLE, JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
+from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
 from pinposture.motion import tolerances
 from pinposture.motion.loop import RecordedLoop, in_scene
@@ -31,7 +32,14 @@ from pinposture.placement.target import target_at
 from pinposture.task.keyframe import Keyframe, as_keyframes, placed
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.passage import require_passage
-from pinposture.task.reference import Reference, Way, Waypoint, off_curve, tip_off
+from pinposture.task.reference import (
+    Reference,
+    Way,
+    Waypoint,
+    off_curve,
+    require_held_postures,
+    tip_off,
+)
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -238,6 +246,8 @@ def perform(
     q0: ArrayLike | None = None,
     tolerance: float | None = None,
     progress: Progress | None = None,
+    *,
+    strict: bool = True,
 ) -> Trajectory:
     """Move an arm along a reference, within its limits.
 
@@ -256,6 +266,8 @@ def perform(
         tolerance: as for `track`, for the first and the last posture.
         progress: called in each cycle with the time and the duration of the plan [s]; the motion stops if it
             returns True.
+        strict: whether a start, or a named posture, that the motors cannot hold within torque limits of
+            `limits` is refused. If not, the motion goes on, and its `faults` say so.
 
     Returns:
         The motion. `run.status` is "converged" if the arm took all named postures, "missed" if it passed one
@@ -263,8 +275,10 @@ def perform(
         `track`; `time_scale` is its duration relative to the plan.
 
     Raises:
-        InvalidValue: limits without dt, or so tight that it would never end; an invalid q0 or tolerance.
+        InvalidValue: limits without dt, or so tight that it would never end; an invalid q0 or tolerance; a
+            posture that cannot be held.
         UnknownName: no controller of that name.
+        WeightUnknown: torque limits, and masses, or all limits of the arm, are not known.
     """
     require_instance("reference", reference, Reference, "a Reference, as `keyframe_reference` returns it")
     require_function("progress", progress)
@@ -275,6 +289,11 @@ def perform(
     tolerance = tolerances.ARRIVAL * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     start = reference.start if q0 is None else arm.checked_start(q0, "q0")
+    require_instance("strict", strict, bool, "True or False")
+    if strict and limits.effort is not None:
+        if q0 is not None:
+            require_held(arm, start, limits, "q0")
+        require_held_postures(reference, limits)
     require_passage(reference, scene, MAX_MEAN_LAG * arm.length / arm.n_modules)
     guide = ReferencePath(reference, limits)
     loop = RecordedLoop(arm, start, guide.target(0.0), controller, limits, scene)
@@ -296,6 +315,7 @@ def move_through(
     q0: ArrayLike | None = None,
     continuity: Literal["velocity", "acceleration"] = "velocity",
     repeat: int = 1,
+    strict: bool = True,
 ) -> Trajectory:
     """Move through keyframes at their times: `keyframe_reference` and `perform` in one call.
 
@@ -308,6 +328,7 @@ def move_through(
         q0: initial configuration, (nq,); that of the first keyframe if None.
         continuity: as for `keyframe_reference`.
         repeat: likewise.
+        strict: as for `perform`.
 
     Returns:
         The motion.
@@ -319,7 +340,7 @@ def move_through(
     require_instance("scene", scene, Scene | None, "a Scene(...), or None")
     keyframes = placed(as_keyframes(keyframes), scene)
     reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat, limits=limits)
-    return perform(reference, controller, limits, scene, q0)
+    return perform(reference, controller, limits, scene, q0, strict=strict)
 
 
 class _Performance:

@@ -556,9 +556,8 @@ class _Planner:
         start = self._begin()
         inside = entered.configuration(entered.rows - 1)
         if np.abs(arm.difference(start, inside)).max() > 1e-9:
-            path = plan(
-                arm.at(start), Target.from_configuration(arm, inside), self._scene, self._limits, budget=5.0
-            )
+            back = Target.from_configuration(arm, inside)
+            path = plan(arm.at(start), back, self._scene, self._limits, budget=5.0, strict=False)
             pieces = self._reversed(entered) if path.blocked_by else [self._along(path, None, 0.0)]
             for piece in pieces:
                 waypoints = (_waypoint("back on the path", piece),) if piece is pieces[-1] else ()

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Closest, CollisionModel, Scene
-from pinposture.control import EndEffector
+from pinposture.control import EndEffector, Limits
+from pinposture.control.torque_limits import Overload, find_overload, require_held
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TaskError, warn_caller
 from pinposture.placement import Target
@@ -154,6 +155,7 @@ class PostureFeasibility(NamedTuple):
             arm if there are no obstacles, or if it is less than the margin. None without a scene.
         pair: the two that are that close; None without a scene.
         moved: how its curve was moved from its position as drawn; None without a curve.
+        overload: what the motors lack to hold it within torque limits; None if they can, or without limits.
     """
 
     name: str
@@ -163,6 +165,7 @@ class PostureFeasibility(NamedTuple):
     clearance: float | None
     pair: tuple[str, str] | None
     moved: Moved | None
+    overload: Overload | None = None
 
     def crowding(self, margin: float) -> str:
         """Name the two that are closer than a margin [m], by more than a thousandth of it; else empty."""
@@ -174,12 +177,15 @@ class PostureFeasibility(NamedTuple):
         return f"{' and '.join(self.pair)} would be {millimetres} apart; the margin is {1e3 * margin:.3g} mm"
 
 
-def posture_feasibility(reference: Reference, scene: Scene | None) -> list[PostureFeasibility]:
+def posture_feasibility(
+    reference: Reference, scene: Scene | None, limits: Limits | None = None
+) -> list[PostureFeasibility]:
     """Predict how well the arm can reach the named postures of a reference, and the first.
 
     Args:
         reference: the reference.
         scene: the obstacles to avoid; clearances are those at these postures only.
+        limits: limits whose torque limits the motors keep; None: none.
     """
     arm = reference.arm
     found = []
@@ -189,7 +195,9 @@ def posture_feasibility(reference: Reference, scene: Scene | None) -> list[Postu
         tip = tip_off(waypoint.tip, waypoint.target, arm.at(q))
         planned = float(reference.times[waypoint.row])
         moved = waypoint.target.moved
-        found.append(PostureFeasibility(waypoint.name, planned, off_curve(waypoint), tip, room, pair, moved))
+        lack = None if limits is None else find_overload(arm, q, limits)
+        off = off_curve(waypoint)
+        found.append(PostureFeasibility(waypoint.name, planned, off, tip, room, pair, moved, lack))
     return found
 
 
@@ -203,11 +211,21 @@ def _closest(arm: Arm, q: Array, scene: Scene) -> Closest:
 
 def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, PostureFeasibility]:
     """Return the named postures that do not keep the margin of a scene, by their names in messages."""
-    places = [] if scene is None else enumerate(posture_feasibility(reference, scene), start=1)
-    named = {
-        f"keyframe {k} {place.name!r}" if reference.numbered else place.name: place for k, place in places
-    }
-    return {where: place for where, place in named.items() if scene and place.crowding(scene.margin)}
+    if scene is None:
+        return {}
+    titles = [title for title, _ in _titled(reference)]
+    places = dict(zip(titles, posture_feasibility(reference, scene), strict=True))
+    return {where: place for where, place in places.items() if place.crowding(scene.margin)}
+
+
+def require_held_postures(reference: Reference, limits: Limits) -> None:
+    """Refuse a motion through a named posture that the motors cannot hold within torque limits of `limits`.
+
+    Raises:
+        InvalidValue: a posture cannot be held; names it, and the joint that needs most.
+    """
+    for where, waypoint in _titled(reference):
+        require_held(reference.arm, reference.configuration(waypoint.row), limits, where)
 
 
 def require_room(reference: Reference, scene: Scene | None) -> None:
@@ -232,6 +250,12 @@ def _named(reference: Reference) -> list[Waypoint]:
         target = Target.from_configuration(reference.arm, reference.start)
         waypoints.insert(0, Waypoint("the beginning", 0, target))
     return waypoints
+
+
+def _titled(reference: Reference) -> list[tuple[str, Waypoint]]:
+    """Return the same with their titles in messages."""
+    named = enumerate(_named(reference), start=1)
+    return [(f"keyframe {k} {each.name!r}" if reference.numbered else each.name, each) for k, each in named]
 
 
 # Curves as vectors: start, initial direction, and bending.

@@ -26,6 +26,7 @@ from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.collision.scene import SceneField, obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import LONGEST_CYCLE, cycle_of
+from pinposture.control.torque_limits import require_held
 from pinposture.curve import Curve
 from pinposture.document import SUFFIXES, Document, plain_data
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
@@ -92,6 +93,7 @@ from pinposture.task.reference import (
     PostureFeasibility,
     Reference,
     posture_feasibility,
+    require_held_postures,
     require_room,
 )
 from pinposture.toml import TomlLayout, Usual
@@ -321,7 +323,7 @@ class Task:
             )
 
     def feasibility(self, reference: Reference) -> list[PostureFeasibility]:
-        """Predict how well the arm can reach the postures; clearances are those at the postures.
+        """Predict how well the arm can reach and hold the postures; clearances are those at the postures.
 
         Args:
             reference: what `reference` returned.
@@ -332,7 +334,7 @@ class Task:
         scene = self.surroundings(reference)
         with self._naming():
             require_passage(reference, scene, MAX_MEAN_LAG * self.arm.length / self.arm.n_modules)
-        return posture_feasibility(reference, scene)
+        return posture_feasibility(reference, scene, self.limits)
 
     @cached_property
     def effective_scene(self) -> Scene:
@@ -358,12 +360,15 @@ class Task:
         self,
         reference: Reference | None = None,
         progress: Callable[[float, float], object] | None = None,
+        *,
+        strict: bool = True,
     ) -> Trajectory:
         """Perform the motion; see `perform`.
 
         Args:
             reference: the result of `reference`, if it was called before.
             progress: as for `perform`.
+            strict: likewise.
 
         Raises:
             PostureError: as `reference` and `perform`, or the arm would start inside an obstacle.
@@ -373,7 +378,14 @@ class Task:
         scene = self.surroundings(reference)
         with self._naming():
             require_room(reference, scene)
-        return perform(reference, self.controller, self.limits, scene, q0=start, progress=progress)
+            require_instance("strict", strict, bool, "True or False")
+            if strict and self.limits.effort is not None:
+                if start is not None:
+                    require_held(self.arm, start, self.limits, "start")
+                require_held_postures(reference, self.limits)
+        return perform(
+            reference, self.controller, self.limits, scene, q0=start, progress=progress, strict=False
+        )
 
     @contextmanager
     def _naming(self, *where: str) -> Iterator[None]:
@@ -407,8 +419,8 @@ class Task:
             place: Place = ("phases", int(found[1]) - 1) if found else ("phases",)
             line = document.line(place)
             return FileError(document.path, message if line is None else f"line {line}: {message}")
-        if isinstance(error, InvalidValue) and error.name == "repeat":
-            return document.fault(("repeat",), f"is {shown(error.value)}; allowed: {error.allowed}")
+        if isinstance(error, InvalidValue) and error.name in ("repeat", "start"):
+            return document.fault((error.name,), f"is {shown(error.value)}; allowed: {error.allowed}")
         number = _KEYFRAME.match(message)  # the message begins with its subject
         line = document.line(("keyframes", int(number[1]) - 1) if number else ("keyframes",))
         return FileError(document.path, message if line is None else f"line {line}: {message}")

@@ -9,6 +9,7 @@ from pathlib import Path
 from unittest.mock import ANY
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pinposture as pp
@@ -119,6 +120,19 @@ def test_the_next_run_says_what_is_there(command, task, tmp_path):
     assert sorted(path.name for path in out.iterdir()) == ["motion.csv", "motion.npz", "status.json"]
 
 
+def test_postures_that_cannot_be_held_are_named_by_a_check_and_refused(command, task):
+    task.write_text(TASK.replace('cycle = "50 ms"', 'cycle = "50 ms"\neffort = "0.05 N m"'))
+    result = command("run", task, "--check")
+    assert result.code == 1
+    model = pp.Arm.from_template("RyRz", modules=4).model
+    needed = abs(pin.computeGeneralizedGravity(model, model.createData(), pin.neutral(model))[0])
+    assert f"straight: joint 'm01_j1_y' needs {needed:.4g} of 0.05 N m to hold the arm" in result.err
+    held = json.loads(command("run", task, "--check", "--json").out)["keyframes"][0]["overload"]
+    assert held["joint"] == "m01_j1_y" and held["share"] == pytest.approx(held["needed"] / 0.05)
+    refused = command("run", task)
+    assert refused.code == 2 and "line 8: keyframe 1 'straight' is" in refused.err
+
+
 def test_a_check_moves_and_writes_nothing(command, task, tmp_path, monkeypatch):
     monkeypatch.setattr("pinposture.task.task.perform", None)
     result = command("run", task, "--check", "-o", tmp_path / "out")
@@ -137,6 +151,7 @@ def test_a_check_moves_and_writes_nothing(command, task, tmp_path, monkeypatch):
                 "clearance": pytest.approx(room, abs=2e-3),
                 "pair": ANY,
                 "moved": {"translation": pytest.approx(way), "rotation": ANY},
+                "overload": None,
             }
             # A helix begins beside its axis, this one at (0, 0, 0.1); it is taken from the base.
             # Every other link is 25 mm away, of a radius of 5 mm, at an angle where the arm is bent.

@@ -309,6 +309,21 @@ def test_performing_it_keeps_to_the_path():
     assert performed.largest < 1.3 * planned.largest
 
 
+def test_a_leader_is_not_followed_to_a_posture_that_cannot_be_held():
+    """The feed pushes along gravity; the first hinge holds the whole body, by Pinocchio."""
+    arm = crossed()
+    reference = follow_leader(arm, arc(0.2, 1.5), 0.1, 0.1)
+    last = pin.computeGeneralizedGravity(
+        arm.model, arm.model.createData(), reference.configuration(reference.rows - 1)
+    )
+    first = pin.computeGeneralizedGravity(arm.model, arm.model.createData(), reference.start)
+    effort = np.where(
+        np.arange(arm.nv) == 0, 100.0, 0.99 * max(np.abs(first[1:]).max(), np.abs(last[1:]).max())
+    )
+    with pytest.raises(InvalidValue, match=r"needs .* could with"):
+        perform(reference, limits=Limits(dt=0.1, effort=effort))
+
+
 def chain_of_hinges():
     """All hinges in one module, whose end can be on the path while its joints are not."""
     joints = [JointSpec("y"), JointSpec("z")] * 4

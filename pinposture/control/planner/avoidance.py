@@ -636,10 +636,10 @@ class Avoidance:
             close = np.flatnonzero(near.distances < least)
             words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
         more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
-        broken = self._describe_broken(state) if self.constrained else ()
+        broken = self.describe_broken(state) if self.constrained else ()
         return (*words[:MAX_NAMED_PAIRS], *more, *broken)
 
-    def _describe_broken(self, state: ChainState) -> tuple[str, ...]:
+    def describe_broken(self, state: ChainState) -> tuple[str, ...]:
         """Describe the constraints and the torque limit that are violated at a state."""
         broken: tuple[str, ...] = ()
         if self.constraints:

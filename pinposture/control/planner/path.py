@@ -58,7 +58,8 @@ class JointPath:
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
         scene: the obstacles; None: none.
         attempt: number of paths to the same target that were abandoned before this one.
-        blocked_by: message naming the pair that comes too close; empty if the path is clear.
+        blocked_by: message naming the pair that comes too close, and the constraints that the path violates;
+            empty if it is clear.
         found_by: how it was found: "relaxation", "tree search" or "withdrawal".
         task_errors: errors of the tasks with priority at the start and the end, 2 x (r,) [m]. In between they
             should change linearly with the place.

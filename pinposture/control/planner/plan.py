@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import require_function, require_positive
+from pinposture._validation import require_function, require_instance, require_positive
 from pinposture.arm import ArmState, ChainState
 from pinposture.collision import Closest, Scene
 from pinposture.collision.model import describe_distance
@@ -37,6 +37,7 @@ from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import PathSearch
 from pinposture.control.planner.trajectory_optimization import Penalties, TaskRows, direct_path, relax_path
 from pinposture.control.tasks import ControlTask
+from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.placement.points import initial_guesses
@@ -118,6 +119,7 @@ def plan(
     constraints: Sequence[Constraint] = (),
     budget: float = inf,
     progress: Callable[[str, float, JointPath | None], object] | None = None,
+    strict: bool = True,
 ) -> JointPath:
     """Plan the most direct clear path to a target posture: the first stage of `Geodesic`.
 
@@ -127,7 +129,8 @@ def plan(
         state: the state of the arm.
         target: the target posture.
         scene: the obstacles and their margin; None: no obstacles.
-        limits: the margin to position limits, and the acceleration limits; `Limits()` if None.
+        limits: the margin to position limits, the acceleration limits, and the torque limits of postures;
+            `Limits()` if None.
         tasks: further tasks, as for `Geodesic`.
         joint_weight: as for `Geodesic`.
         relative_position_weight: as for `Geodesic`.
@@ -136,14 +139,19 @@ def plan(
             speed of the machine; without a budget it is reproducible.
         progress: called among obstacles with the next attempt, the time so far [s], and the shortest clear
             path so far (None if there is none). The search ends if it returns True.
+        strict: whether a start or goal that the motors cannot hold within torque limits of `limits` is
+            refused. If not, `blocked_by` says so.
 
     Returns:
         The path. If no clear path was found, `blocked_by` names what it comes too close to; ends of the
-        path that are themselves too close, or violate constraints, do not count. `found_by` tells how it was
-        found.
+        path that are themselves too close do not count. It also names the constraints and torque limits that
+        the start or the goal (the configuration of the target, if known) violates. `found_by` tells how the
+        path was found.
 
     Raises:
-        InvalidValue: an argument of the wrong type, or one that does not fit the arm.
+        InvalidValue: an argument of the wrong type, one that does not fit the arm, or a start or goal that
+            cannot be held.
+        WeightUnknown: torque limits, and masses, or all limits of the arm, are not known.
     """
     require_step_arguments(state, target)
     if not (scene is None or isinstance(scene, Scene)):
@@ -156,7 +164,13 @@ def plan(
     objective = Objective(
         state.arm, target, tuple(tasks), relative_position_weight, joint_weight, tuple(constraints)
     )
-    bounds = require_limits(limits).for_arm(state.arm)
+    limits = require_limits(limits)
+    bounds = limits.for_arm(state.arm)
+    require_instance("strict", strict, bool, "True or False")
+    if strict and bounds.effort is not None:
+        require_held(state.arm, state.q, limits, "state")
+        if target.q is not None:
+            require_held(state.arm, target.q, limits, "target.q")
     avoidance = Avoidance.of(scene, objective, bounds)
     problem = PlanningProblem(objective, state.chain_state, bounds.edges, avoidance)
     began = perf_counter()
@@ -165,7 +179,16 @@ def plan(
         if progress is not None and progress(trying, perf_counter() - began, best) is True:
             raise KeyboardInterrupt
 
-    return find_path(problem, until=began + budget, report=report)
+    path = find_path(problem, until=began + budget, report=report)
+    if avoidance is None or not avoidance.constrained:
+        return path
+    if strict and bounds.effort is not None:
+        require_held(state.arm, path.configuration(path.end), limits, "the goal")
+    goal = path.configuration(path.end) if target.q is None else target.q
+    words = [path.blocked_by] if path.blocked_by else []
+    for end, at in (("start", problem.start), ("goal", state.arm.chain_at(goal))):
+        words += [f"at the {end}, {each}" for each in avoidance.describe_broken(at)]
+    return replace(path, blocked_by="; ".join(words))
 
 
 def find_path(

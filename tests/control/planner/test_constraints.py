@@ -202,6 +202,21 @@ class Apart:
         return matrix, [0.1 - abs(first)], [np.inf]
 
 
+@pytest.mark.parametrize(("first", "last", "named"), ((0.0, -0.3, "start"), (-0.3, 0.05, "goal")))
+def test_a_path_names_the_constraint_that_an_end_violates(first: float, last: float, named: str) -> None:
+    short = template_arm("RyRz", 3)
+    start, goal = np.full(short.nq, first), np.full(short.nq, last)
+    path = pp.plan(short.at(start), pp.Target.from_configuration(short, goal), constraints=[Apart()])
+    missing = 100.0 if named == "start" else 50.0
+    assert f"at the {named}, constraint: Apart is violated by {missing:g} mm" in path.blocked_by
+    kept = pp.plan(
+        short.at(np.full(3 * 2, -0.3)),
+        pp.Target.from_configuration(short, np.full(3 * 2, -0.2)),
+        constraints=[Apart()],
+    )
+    assert kept.blocked_by == ""
+
+
 @pytest.mark.long
 def test_a_constraint_that_no_path_keeps_is_named_as_what_blocks_it() -> None:
     short = template_arm("RyRz", 3)

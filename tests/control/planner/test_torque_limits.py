@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -198,6 +200,65 @@ def test_a_start_and_a_goal_that_cannot_be_held_are_refused_with_what_is_too_muc
     assert run.converged
     assert "torque limit: joint 'm01_j1_y'" in run.reason
     assert judged(loaded, float(limits.effort), run.q[-1:], None)[0] <= 1.0
+
+
+@pytest.fixture
+def overloaded() -> tuple[pp.Arm, np.ndarray, np.ndarray, pp.Limits, str]:
+    """An arm, a posture that it can hold, one that it cannot, limits, and what they lack by Pinocchio."""
+    arm = template_arm("RyRz", 4).with_payload(0.1)
+    hanging = np.zeros(arm.nv)
+    hanging[0] = 1.2
+    out = arm.straight()
+    torques = np.abs(pin.computeGeneralizedGravity(arm.model, arm.model.createData(), out))
+    effort = float(torques[0] - 0.05 * 9.81 * arm.at(out).points[-1][0])  # enough for half of the payload
+    limits = pp.Limits(step=None, velocity=2.0, acceleration=10.0, dt=0.01, effort=effort)
+    words = (
+        rf"joint 'm01_j1_y' needs {torques[0]:.4g} of {effort:.4g} N m.*could with 0\.05 kg less at the tip"
+    )
+    return arm, hanging, out, limits, words
+
+
+def test_a_plan_refuses_or_names_ends_that_cannot_be_held(overloaded) -> None:
+    arm, hanging, out, limits, words = overloaded
+    for start, goal, name in ((hanging, out, "target.q"), (out, hanging, "state")):
+        target = pp.Target.from_configuration(arm, goal)
+        with pytest.raises(InvalidValue, match=rf"{name} is .{words}"):
+            pp.plan(arm.at(start), target, limits=limits)
+        path = pp.plan(arm.at(start), target, limits=limits, strict=False)
+        end = "goal" if name == "target.q" else "start"
+        assert f"at the {end}, torque limit: joint 'm01_j1_y' needs" in path.blocked_by
+
+
+def test_a_task_refuses_or_flags_postures_that_cannot_be_held(overloaded) -> None:
+    arm, hanging, out, limits, words = overloaded
+    places = [pp.Keyframe(joints=tuple(hanging)), pp.Keyframe(joints=tuple(out), time=1.0, name="out")]
+    task = pp.Task(arm, tuple(places), limits)
+    for move in (task.perform, lambda: pp.move_through(arm, places, limits=limits)):
+        with pytest.raises(InvalidValue, match=rf"keyframe 2 'out' is .{words}"):
+            move()
+    with pytest.raises(InvalidValue, match=rf"start is .{words}"):
+        task.edited(motion=(places[0], pp.Keyframe(joints=tuple(hanging), time=1.0)), start=out).perform()
+    kept, refused = task.feasibility(task.reference())
+    assert kept.overload is None and re.search(words, str(refused.overload))
+    motion = task.perform(strict=False)
+    assert not motion.run.converged
+    assert judged(arm, float(limits.effort), motion.q, None)[0] <= 1.0
+
+
+def test_a_tracker_names_a_target_that_cannot_be_held_and_goes_near_it(overloaded) -> None:
+    arm, hanging, out, limits, words = overloaded
+    tracker = pp.Tracker(arm, limits=limits)
+    tracker.update(pp.Target.from_configuration(arm, out))
+    q = hanging
+    for _ in range(400):
+        q = arm.integrate(q, tracker.step(q))
+        named = "; ".join(tracker.report.violated_constraints)
+        assert re.search(rf"torque limit at the target: {words}", named)
+    assert tracker.report.status == "stalled"
+    assert judged(arm, float(limits.effort), np.array([q]), None)[0] <= 1.0
+    tracker.update(pp.Target.from_configuration(arm, hanging))
+    tracker.step(q)
+    assert not tracker.report.violated_constraints
 
 
 def test_limits_of_the_arm_and_unknown_ones() -> None:
