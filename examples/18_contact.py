@@ -17,9 +17,10 @@ target = pp.Target.from_configuration(arm, posture)
 limits = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0)
 run = pp.track(arm, target, arm.straight(), limits=limits)
 crate = pp.Box(center=(0.3, 0.07, -0.02), size=(0.06, 0.06, 0.06))
-scene = pp.Scene({"crate": crate, "table": pp.HalfSpace((0, 0, -0.05), (0, 0, 1))})
+table = pp.HalfSpace((0, 0, -0.05), (0, 0, 1))
+scene = pp.Scene({"crate": crate, "table": table}, touchable=["crate"])
 
-contact = ContactModel(friction=0.4, masses={"crate": 0.2}, allowed=["crate"])
+contact = ContactModel(friction=0.4, masses={"crate": 0.2})
 pushed = simulate(arm, run, scene=scene, contact=contact)
 for event in pushed.contacts.of_arm:
     print(event)
@@ -28,7 +29,8 @@ print(f"the crate was pushed by {1e3 * np.linalg.norm(np.subtract(ended, crate.c
 print(pushed.verdict)
 
 # A contact that was not allowed is a fault.
-refused = simulate(arm, run, scene=scene, contact=ContactModel(friction=0.4, masses={"crate": 0.2}))
+untouchable = pp.Scene({"crate": crate, "table": table})
+refused = simulate(arm, run, scene=untouchable, contact=contact)
 print(refused.verdict)
 
 # A post that the tracker does not know of: it stops where a torque is not that of weight and motion.

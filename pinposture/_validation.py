@@ -236,11 +236,11 @@ def as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def as_floats(name: str, values: ArrayLike, allowed: str = "numbers") -> NDArray[np.float64]:
-    """Return a fresh array of floats, finite or not, else raise InvalidValue with the words `allowed`."""
+    """Return a fresh C-contiguous array of floats, else raise InvalidValue with the words `allowed`."""
     try:
         if np.iscomplexobj(values):  # numpy would drop the imaginary parts
             raise TypeError
-        return np.array(values, dtype=np.float64)
+        return np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError, OverflowError):
         raise InvalidValue(name, values, allowed) from None
 

@@ -136,6 +136,7 @@ def show_scene(scene: Scene) -> str:
     rows = [
         ("margin", length_text(scene.margin)),
         ("self-collision", "avoided" if scene.self_collision else "not checked"),
+        *([("touchable", ", ".join(scene.touchable))] if scene.touchable else []),
         *((name, repr(obstacle)) for name, obstacle in list(scene.obstacles.items())[:MAX_OBSTACLES]),
     ]
     if len(scene.obstacles) > MAX_OBSTACLES:

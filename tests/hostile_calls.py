@@ -94,6 +94,7 @@ def examples() -> dict[str, Any]:
         "Scan.path": Path("scan.ply"),
         "Scene.displacement.before": scene,
         "Scene.displacement.reach": 0.1,
+        "Scene.depth.name": "ball",
         "q": np.full(6, 0.1),
         "q0": np.full(6, 0.1),
         "CollisionModel.q0": np.full(6, 0.1),

@@ -127,10 +127,10 @@ SHARED = [
     (pp.Scan, ("center", "rotation", "point_radius")),
     (Servos, ("frequency", "damping", "torque_limits", "speed_reference", "armature", "timestep")),
     (Sensing, ("noise", "resolution", "dropped", "latency", "period", "seed", "torque_noise")),
-    (ContactModel, ("friction", "time_constant", "damping", "masses", "allowed")),
+    (ContactModel, ("friction", "time_constant", "damping", "masses")),
     (pp.Touch, ("threshold", "time_constant")),
     (DriveModel, ("lag", "friction", "stiction", "delay")),
-    (pp.Scene, ("self_collision", "margin", "arm_radius", "velocities")),
+    (pp.Scene, ("self_collision", "margin", "arm_radius", "velocities", "touchable")),
 ]
 FIELDS = [(kind, name) for kind, names in SHARED for name in names]
 REFUSALS = Path(__file__).with_name("refusals.txt")

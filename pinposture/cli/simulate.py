@@ -54,7 +54,7 @@ PICTURE = "simulation.png"
     "pinposture simulate out --dt 0.02 -o sim",
     "pinposture simulate out --dt 0.02 --closed --frequency 5 -o sim",
     "pinposture simulate joints.csv --urdf arm.urdf --no-gravity --json",
-    "pinposture simulate out --dt 0.02 --contact --free can=0.3 --allow can",
+    "pinposture simulate out --dt 0.02 --contact --free can=0.3",
 )
 def run(
     *,
@@ -85,8 +85,8 @@ def run(
 
     The clearance from the scene is reported; with --contact, the arm and the obstacles collide, and the first
     touch is. The effort limits of the description apply; those of templates are placeholders. The exit code
-    is 0 if the arm arrived, stayed near its path and was clear of the scene, or touched only what it may; 1
-    if not, 2 if it could not start or be saved.
+    is 0 if the arm arrived, stayed near its path and was clear of the scene, or touched only what the scene
+    says that it may (touchable); 1 if not, 2 if it could not start or be saved.
     """
     from pinposture.arm.mjcf import load_mujoco
     from pinposture.collision import Scene
@@ -182,13 +182,6 @@ class SimulationOptions:
             "NAME=MASS",
         ),
     ] = None
-    allow: Annotated[
-        list[str] | None,
-        MOTION(
-            "A body or obstacle whose contact with the arm is no fault, with --contact. May be repeated.",
-            "NAME",
-        ),
-    ] = None
 
     def read(self) -> Settings:
         """Return the settings; raise a `PostureError` for a value that is refused."""
@@ -208,16 +201,14 @@ class SimulationOptions:
         from pinposture.sim import ContactModel
 
         if not self.contact:
-            without = {"--friction": self.friction, "--free": self.free, "--allow": self.allow}
-            refuse_given(without, "nothing without --contact")
+            refuse_given({"--friction": self.friction, "--free": self.free}, "nothing without --contact")
             return None
         allowed = "NAME=MASS, such as can=0.3, each name once"
         masses = {
             name: read_option("--free", mass, Annotated[float, quantity("mass", above=0.0)])
             for name, mass in read_pairs("--free", self.free, allowed).items()
         }
-        given = {"friction": self.friction, "masses": masses, "allowed": self.allow}
-        model: ContactModel = read_declared(ContactModel, given)
+        model: ContactModel = read_declared(ContactModel, {"friction": self.friction, "masses": masses})
         return model
 
 

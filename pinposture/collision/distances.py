@@ -185,6 +185,9 @@ class Narrow(threading.local):
 
 NO_PAIR = -1
 
+_WITH_RADIUS = (SEGMENT, PIECE, INSIDE)
+"""Kinds of obstacles whose radius counts apart from the primitive."""
+
 CONTACTS_PER_SAMPLE = 32  # initial buffer size for near pairs, per configuration
 MAX_PARTS = 8  # maximum number of parts into which a motion is divided at once
 OPEN_SAMPLES = 1000  # initial buffer size for samples of pairs without a closed form
@@ -264,6 +267,7 @@ class PairDistances:
         joints: Sequence[int],
         fixed: Sequence[Solid],
         pairs: Sequence[tuple[int, int]],
+        depths: Sequence[float] | None = None,
     ) -> None:
         """Prepare the solids and sort the pairs into groups.
 
@@ -272,6 +276,7 @@ class PairDistances:
             joints: the joints that carry them.
             fixed: the obstacles, world frame.
             pairs: indices as in `first` and `second`.
+            depths: how far beneath its surface the distance from each obstacle counts, (o,) [m]; None: 0.
         """
         self._narrow = Narrow()
         self._solids = [*bodies, *fixed]
@@ -285,13 +290,16 @@ class PairDistances:
         exact = [each.round for each in bodies] + [each.exact for each in fixed]
         self._kinds = kinds
         self._exact = np.array(exact, dtype=np.bool_)
+        deep = np.zeros(len(fixed)) if depths is None else np.asarray(depths, dtype=np.float64)
+        self._depths = np.concatenate([np.zeros(len(bodies)), deep])
+        round_radii = [each.radius if each.kind in _WITH_RADIUS else 0.0 for each in fixed]
         nothing = np.zeros(0, dtype=np.int64)
         self._arrays = Pairs(
             first=nothing,
             second=nothing,
             kinds=nothing,
             exact=np.zeros(0, dtype=np.bool_),
-            radii=np.array([each.radius if np.isfinite(each.radius) else 0.0 for each in self._solids]),
+            radii=np.array([*(each.radius for each in bodies), *round_radii]) - self._depths,
             lines=np.array([[each.start, each.end] for each in fixed]).reshape(-1, 2, 3),
             centers=np.array([each.center for each in fixed]).reshape(-1, 3),
             frames=np.array([each.rotation for each in fixed]).reshape(-1, 3, 3),
@@ -333,8 +341,8 @@ class PairDistances:
         )
         self._open = int(np.count_nonzero(~exact))
         self._sides = np.column_stack([self.first, self.second])
-        # Coal ignores the radius of the points of a cloud.
-        self._point_radii = np.where(kinds == PIECE, self._arrays.radii[self.second], 0.0)
+        # Coal ignores the radius of the points of a cloud, and depths.
+        self._left_out = np.where(kinds == PIECE, self._arrays.radii[self.second], -self._depths[self.second])
 
     def with_obstacles(self, changes: Mapping[int, Solid]) -> PairDistances:
         """Return the distances with some obstacles, by index, replaced by others of the same kind."""
@@ -606,7 +614,7 @@ class PairDistances:
                 result.clear()
                 distance = coal.distance(one, here, other, place, request, result)
                 if abs(distance) < _SOUND:
-                    found[k] = distance - self._point_radii[pair]
+                    found[k] = distance - self._left_out[pair]
                     break
         return found
 

@@ -77,6 +77,7 @@ class CollisionObjects(NamedTuple):
         joints: index of the joint that carries each body.
         solids: the bodies, each in the frame of its joint, as in `Placements`.
         fixed: the obstacles, world frame.
+        depths: how far beneath its surface the distance from each obstacle counts, as in `PairDistances` [m].
     """
 
     arm: Arm
@@ -84,10 +85,11 @@ class CollisionObjects(NamedTuple):
     joints: Sequence[int]
     solids: Sequence[Solid]
     fixed: Sequence[Solid]
+    depths: Sequence[float]
 
     def distances(self, pairs: Sequence[IndexPair]) -> PairDistances:
         """Return the distances of pairs of bodies, or of bodies and obstacles; see `PairDistances`."""
-        return PairDistances(self.solids, self.joints, self.fixed, pairs)
+        return PairDistances(self.solids, self.joints, self.fixed, pairs, self.depths)
 
 
 def arm_alone(arm: Arm) -> Scene:
@@ -213,7 +215,7 @@ def _mounted_pairs(objects: CollisionObjects, margin: float) -> set[IndexPair]:
         radius = solids[body].radius if solids[body].round else SMALLEST_LENGTH
         balls.append(Sphere(tuple(position), radius).solid())
     pairs = [(ball, len(balls) + k) for ball in range(len(balls)) for k in range(len(fixed))]
-    distances = PairDistances(balls, [0] * len(balls), fixed, pairs)
+    distances = PairDistances(balls, [0] * len(balls), fixed, pairs, objects.depths)
     near = distances.near(objects.kinematics.place(objects.arm.neutral()), np.nextafter(margin, np.inf)).pairs
     first = distances.first[near]
     second = distances.second[near] - len(balls)
@@ -357,6 +359,7 @@ class _Choice(NamedTuple):
             joints=[body.joint for body in bodies],
             solids=[body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies],
             fixed=[each for _, each in named],
+            depths=[scene.depth(name) for name, _ in named],
         )
         own = tuple(body.name for body in bodies)
         names = (*own, *(name for name, _ in named))
@@ -380,6 +383,7 @@ class CollisionModel:
     differ from the shortest way out. Bounds decide which pairs are computed.
 
     A scan or a non-convex mesh is split into pieces. Each body forms a pair with each piece, under one name.
+    The distance from a touchable obstacle counts from two margins beneath its surface; see `Scene`.
 
     Attributes:
         scene: the scene.

@@ -30,7 +30,7 @@ from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import Obstacle, ObstacleField, displaced
 from pinposture.collision.shapes import Size, Sphere
 from pinposture.document import Document, plain_data
-from pinposture.errors import warn_caller
+from pinposture.errors import InvalidValue, warn_caller
 from pinposture.schema import (
     CheckedBy,
     Declared,
@@ -77,6 +77,19 @@ def _require_named(value: object) -> dict[str, object]:
 
 
 def _require_known_names(value: Mapping[str, Twist], info: ValidationInfo) -> Mapping[str, Twist]:
+    for name in value:
+        require_known("obstacle", name, info.data.get("obstacles", value))
+    return value
+
+
+def _as_names(name: str, value: Any) -> tuple[str, ...]:
+    if isinstance(value, str) or not isinstance(value, (tuple, list, set, frozenset)):
+        raise InvalidValue(name, value, "a list of names of obstacles")
+    names = [require_name(f"{name}[{k}]", each) for k, each in enumerate(value)]
+    return tuple(sorted(dict.fromkeys(names)))
+
+
+def _require_known(value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
     for name in value:
         require_known("obstacle", name, info.data.get("obstacles", value))
     return value
@@ -130,6 +143,10 @@ class Scene(Declared):
         velocities: velocities of moving obstacles by name, world axes: (3,) [m/s]; or (6,), with the angular
             velocity about the middle of the obstacle [rad/s] behind that of the middle. All others stand
             still.
+        touchable: names of the obstacles that the arm may touch, such as an object to wrap around, or a
+            surface to lean on. From these it need keep no margin: it may overlap with them by as much as
+            the margin. Their distances, and so clearances, count from two margins beneath their surface.
+            In a simulation with contact, touching them is no fault.
     """
 
     _first: ClassVar[Scene | None] = None  # of a scene that is another one at some moment
@@ -140,6 +157,7 @@ class Scene(Declared):
     velocities: Annotated[_Velocities, AfterValidator(_require_known_names), _ReadOnly] = field(
         default_factory=dict
     )
+    touchable: Annotated[tuple[str, ...], CheckedBy(_as_names), AfterValidator(_require_known)] = ()
 
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
@@ -259,9 +277,34 @@ class Scene(Declared):
                 farthest = max(farthest, float(np.linalg.norm(motion.translation)) + reach * turned)
         return farthest
 
+    def depth(self, name: str) -> float:
+        """Return how far beneath its surface the distance from an obstacle counts [m].
+
+        Returns:
+            0, or two margins if the arm may touch it.
+
+        Raises:
+            UnknownName: an unknown obstacle.
+        """
+        require_known("obstacle", name, self.obstacles)
+        return 2.0 * self.margin if name in self.touchable else 0.0
+
+    def with_obstacles(self, obstacles: Mapping[str, Obstacle]) -> Scene:
+        """Return the scene with other obstacles, which stand still.
+
+        Args:
+            obstacles: the obstacles by name; those that are touchable now stay so.
+
+        Raises:
+            InvalidValue: not obstacles by name.
+        """
+        require_instance("obstacles", obstacles, Mapping, "a mapping from names of obstacles")
+        touchable = [name for name in self.touchable if name in obstacles]
+        return replace(self, obstacles=obstacles, velocities={}, touchable=touchable)
+
     def without_obstacles(self) -> Scene:
         """Return the scene without obstacles: the arm has only itself to keep clear of."""
-        return replace(self, obstacles={}, velocities={})
+        return self.with_obstacles({})
 
     def without_self_collision(self) -> Scene:
         """Return the scene with self-collision disabled."""
@@ -346,7 +389,8 @@ class Scene(Declared):
             first, *_, last = self.obstacles
             named = f"{len(self.obstacles)} obstacles, {first} to {last}"
         itself = "" if self.self_collision else ", self-collision off"
-        return f"Scene({named}{itself}, margin={self.margin:g})"
+        touchable = f", touchable: {', '.join(self.touchable)}" if self.touchable else ""
+        return f"Scene({named}{itself}, margin={self.margin:g}{touchable})"
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Scene):
@@ -357,13 +401,14 @@ class Scene(Declared):
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        given = dict(self.obstacles), self.self_collision, self.margin, self.arm_radius, dict(self.velocities)
-        return Scene, given, {"_first": self._first}
+        given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
+        given |= {"obstacles": dict(self.obstacles), "velocities": dict(self.velocities)}
+        return Scene, tuple(given.values()), {"_first": self._first}
 
     def _key(self) -> tuple[Any, ...]:
         obstacles = frozenset(self.obstacles.items())
         velocities = frozenset(self.velocities.items())
-        return obstacles, velocities, self.self_collision, self.margin, self.arm_radius
+        return obstacles, velocities, self.self_collision, self.margin, self.arm_radius, self.touchable
 
 
 def _read_scene(value: object, info: ValidationInfo) -> Scene | None:

@@ -6,6 +6,7 @@ torques are linear in these pushes, so both questions are linear programs (SciPy
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -87,7 +88,7 @@ def assess_hold(
     friction = require_positive("friction", friction, zero=True)
     within = length("within", within, zero=True)
     state = arm.at(arm.checked(q, "q"))
-    model = CollisionModel(arm, scene)
+    model = CollisionModel(arm, replace(scene, touchable=()))
     near = model.nearest(state, within)
     chosen = [k for k, pair in enumerate(near.pairs) if pair[1] == obstacle]
     normals = -near.normals[chosen]

@@ -603,7 +603,9 @@ def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = No
             listed = dict(renamed.get(key, (key, each)) for key, each in listed.items())
         else:
             listed[name] = obstacle
-        return task.edited(scene=replace(scene, obstacles=listed))
+        touchable = [name if each == instead else each for each in scene.touchable]
+        kept = tuple(each for each in touchable if each in listed)
+        return task.edited(scene=replace(scene, obstacles=listed, touchable=kept))
 
     return edit
 

@@ -486,7 +486,8 @@ class Pairs(NamedTuple):
         second: the other body, or b plus the index of the obstacle, (n,).
         kinds: kind of the second solid, `SEGMENT` for spheres, capsules and bodies, (n,).
         exact: False if the shapes given here only enclose the solids, (n,).
-        radii: radii of body capsules, then of capsule obstacles or of the points of scans, (b + o,).
+        radii: radii of body capsules, then of capsule obstacles or of the points of scans, otherwise 0; less
+            the depth beneath the surface from which the distance of an obstacle counts, (b + o,).
         lines: axis of the capsule of each obstacle, (o, 2, 3).
         centers: centre of each obstacle that is not a capsule, or of the box around it, (o, 3).
         frames: its axes, as columns; z is the normal of a half-space and the axis of a cylinder, (o, 3, 3).

@@ -194,9 +194,8 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact
     other = pairs.second[pair] - len(ends)
     line = ends[body]
     kind = pairs.kinds[pair]
-    radius = pairs.radii[body]
+    radius = pairs.radii[body] + pairs.radii[pairs.second[pair]]
     if kind == SEGMENT:
-        radius += pairs.radii[pairs.second[pair]]
         against = ends[other + len(ends)] if other < 0 else pairs.lines[other]
         distance, px, py, pz, nx, ny, nz = _segment_contact(line, against)
     elif kind == BOX:
@@ -218,7 +217,6 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact
         py = line[end, 1]
         pz = line[end, 2]
     elif kind in (PIECE, INSIDE):
-        radius += pairs.radii[pairs.second[pair]]
         found = _tree_contact(line, pairs, other, kind == INSIDE, below + radius)
         distance, px, py, pz, nx, ny, nz = found
     else:

@@ -57,20 +57,15 @@ def _as_masses(name: str, value: Any) -> dict[str, float]:
     }
 
 
-def _as_names(name: str, value: Any) -> tuple[str, ...]:
-    if isinstance(value, str) or not isinstance(value, (tuple, list, set, frozenset)):
-        raise InvalidValue(name, value, "a list of names of bodies and obstacles")
-    return tuple(require_name(f"{name}[{k}]", each) for k, each in enumerate(value))
-
-
 @declared()
 class ContactModel(Declared):
     """How the arm, the obstacles of a scene and free objects touch each other in a simulation.
 
-        contact = sim.ContactModel(friction=0.6, masses={"can": 0.3}, allowed=["can"])
+        contact = sim.ContactModel(friction=0.6, masses={"can": 0.3})
         ended = sim.simulate(arm, run, scene=scene, contact=contact)
 
-    The defaults of friction, time constant and damping are those of MuJoCo.
+    The defaults of friction, time constant and damping are those of MuJoCo. What the arm may touch is said by
+    the scene (`touchable`).
 
     Attributes:
         friction: coefficient of sliding friction between all surfaces.
@@ -79,17 +74,15 @@ class ContactModel(Declared):
         damping: damping ratio of that; 1 is critical, less bounces.
         masses: masses of the obstacles that are free to move, by name [kg]; all others stand still. They are
             of uniform density and at rest at first.
-        allowed: names of bodies of the arm and of obstacles whose contact with the arm is no fault.
 
     Raises:
-        InvalidValue: a number that is not positive (friction: negative), or not names.
+        InvalidValue: a number that is not positive (friction: negative), or not a mapping from names.
     """
 
     friction: Annotated[float, CheckedBy(partial(require_positive, zero=True))] = 1.0
     time_constant: Duration = 0.02
     damping: Annotated[float, CheckedBy(require_positive)] = 1.0
     masses: Annotated[dict[str, float], CheckedBy(_as_masses)] = field(default_factory=dict)
-    allowed: Annotated[tuple[str, ...], CheckedBy(_as_names)] = ()
 
 
 class ContactEvent(NamedTuple):
@@ -123,6 +116,7 @@ class ContactHistory:
         model: how things touch.
         pairs: names of what touched, in order of the first touch.
         own: names of the bodies of the arm.
+        touchable: names of the obstacles that the arm may touch.
         begins: when each pair first touched, (p,) [s].
         speeds: how fast it then came together, (p,) [m/s].
         peaks: the largest force in a physics step, (p,) [N].
@@ -135,6 +129,7 @@ class ContactHistory:
     model: ContactModel
     pairs: tuple[Pair, ...]
     own: tuple[str, ...]
+    touchable: tuple[str, ...]
     begins: Array
     speeds: Array
     peaks: Array
@@ -161,7 +156,7 @@ class ContactHistory:
     @cached_property
     def faults(self) -> tuple[ContactEvent, ...]:
         """The contacts of the arm that are not allowed."""
-        return tuple(each for each in self.of_arm if not {*each.pair} & {*self.model.allowed})
+        return tuple(each for each in self.of_arm if each.pair[1] not in self.touchable)
 
     def scene_in(self, row: int, scene: Scene) -> Scene:
         """Return a scene with its free obstacles where they are in a row, given that at the start."""
@@ -187,15 +182,13 @@ def add_contact(spec: Any, arm: Arm, scene: Scene, contact: ContactModel) -> Non
         contact: how they touch.
 
     Raises:
-        UnknownName: a mass or an allowed contact of something that does not exist.
+        UnknownName: a mass of something that does not exist.
         InvalidValue: an obstacle that is not convex, or a half-space with a mass.
     """
     mujoco = load_mujoco()
     model = CollisionModel(arm, scene)
     for name in contact.masses:
         require_known("obstacle", name, scene.obstacles)
-    for name in contact.allowed:
-        require_known("body or obstacle", name, {*model.bodies, *scene.obstacles})
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = FRICTION_STIFFNESS
@@ -287,16 +280,18 @@ class Touching(NamedTuple):
 class ContactRecorder:
     """Collects the contacts of a simulation after each physics step."""
 
-    def __init__(self, model: Any, contact: ContactModel) -> None:
+    def __init__(self, model: Any, contact: ContactModel, touchable: tuple[str, ...]) -> None:
         """Prepare to record.
 
         Args:
             model: the `mujoco.MjModel`, with shapes as `add_contact` names them.
             contact: how things touch.
+            touchable: names of the obstacles that the arm may touch.
         """
         self._mujoco = load_mujoco()
         self._model = model
         self._contact = contact
+        self._touchable = touchable
         shapes = [str(model.geom(k).name).split(" ", 1) for k in range(model.ngeom)]
         self._ranks = [(kind != ARM, k) for k, (kind, _) in enumerate(shapes)]  # the arm is first in a pair
         self._names = [name.split(" ", 1)[1] if kind == ARM else name for kind, name in shapes]
@@ -343,6 +338,7 @@ class ContactRecorder:
             model=self._contact,
             pairs=pairs,
             own=self._own,
+            touchable=self._touchable,
             begins=begins[:, 0],
             speeds=begins[:, 1],
             peaks=np.array([self._peaks[pair] for pair in pairs]),

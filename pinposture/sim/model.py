@@ -226,6 +226,7 @@ class PlantModel:
     torque_limits: Array
     warnings: tuple[str, ...]
     contact: ContactModel | None = None
+    touchable: tuple[str, ...] = ()
 
     def positions(self, driven: Array) -> Array:
         """Return the positions of all joints, (n,), for those of the driven joints, (nv,) [rad or m]."""
@@ -254,7 +255,7 @@ def build_plant_model(
     Raises:
         InvalidValue: an arm from `Arm.from_model`, or invalid gravity; with contact also an obstacle that is
             not convex, or an arm with coupled joints, which MuJoCo's contacts do not move.
-        UnknownName: a mass or an allowed contact of something that does not exist.
+        UnknownName: a mass of something that does not exist.
         MujocoMissing: MuJoCo is not installed.
         URDFError: an inertia in the description is not a number, MuJoCo rejects the model, or its control
             points differ from those of the arm.
@@ -325,6 +326,7 @@ def build_plant_model(
         torque_limits=servos.limits(effort),
         warnings=corrections,
         contact=contact,
+        touchable=() if scene is None else scene.touchable,
     )
 
 

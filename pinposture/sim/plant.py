@@ -87,7 +87,7 @@ class Plant:
         self._mujoco.mj_forward(self._model, self._data)
         self.contacts: ContactRecorder | None = None
         if model.contact is not None:
-            self.contacts = ContactRecorder(self._model, model.contact)
+            self.contacts = ContactRecorder(self._model, model.contact, model.touchable)
             self.contacts.end_cycle(self._data, dt)
         most = model.torque_limits
         self._torques = np.clip(self._compensation, -most, most)

@@ -239,7 +239,9 @@ class _FreeSpace:
         fixed = [piece for _, piece in pieces]
         self._names = [name for name, _ in pieces]
         ball = Sphere((0.0, 0.0, 0.0), radius).solid()
-        self._distances = PairDistances([ball], [joint], fixed, [(0, 1 + k) for k in range(len(fixed))])
+        pairs = [(0, 1 + k) for k in range(len(fixed))]
+        depths = [scene.depth(name) for name in self._names]
+        self._distances = PairDistances([ball], [joint], fixed, pairs, depths)
         self._empty = not fixed
 
     def is_free(self, points: Array) -> bool:

@@ -59,7 +59,7 @@ def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -
     if scene is None:
         return
     still = {name: each for name, each in scene.obstacles.items() if name not in scene.moving}
-    scene = replace(scene, obstacles=still, velocities={}, self_collision=False)
+    scene = scene.with_obstacles(still).without_self_collision()
     for waypoint, rows, distances in _ways(reference, scene):
         model = CollisionModel(reference.arm, scene)
         where = f"the way to {waypoint.name!r}"

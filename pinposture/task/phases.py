@@ -382,7 +382,7 @@ def with_pipe(scene: Scene | None, path: Any, radius: float, reference: Referenc
     if scene is None:
         require_wide_pipe(reference, walls, radius)
         return walls
-    require_wide_pipe(reference, replace(scene, obstacles=walls.obstacles, velocities={}), radius)
+    require_wide_pipe(reference, scene.with_obstacles(walls.obstacles), radius)
     return replace(scene, obstacles={**scene.obstacles, **walls.obstacles})
 
 

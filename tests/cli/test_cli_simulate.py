@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -145,14 +146,17 @@ def test_contact_is_told_and_judged(command, timed_run, tmp_path) -> None:
     floor = pp.HalfSpace((0.0, 0.0, -10.0), (0.0, 0.0, 1.0))
     radius = 0.2 * float(run.arm.chain.module_lengths.mean())
     ball = pp.Sphere(tuple(tip), radius)
-    file = pp.Scene({"floor": floor, "ball": ball}, self_collision=False).save(tmp_path / "scene.json")
-    options = ["--scene", file, "--contact", "--friction", "0.5", "--no-gravity", "--hold", "0.1"]
+    scene = pp.Scene({"floor": floor, "ball": ball}, self_collision=False)
+    file = scene.save(tmp_path / "scene.json")
+    file_of_touchable = replace(scene, touchable=("ball",)).save(tmp_path / "touchable.json")
+    options = ["--contact", "--friction", "0.5", "--no-gravity", "--hold", "0.1"]
     free = ["--free", "ball=10g"]
-    told = command("simulate", timed_run, *options, *free)
+    told = command("simulate", timed_run, "--scene", file, *options, *free)
     assert told.code == 1
     assert "first touch" in told.out
     assert "ball" in told.out.splitlines()[0]
-    allowed = json.loads(command("simulate", timed_run, *options, *free, "--allow", "ball", "--json").out)
+    options += ["--scene", file_of_touchable, "--json"]
+    allowed = json.loads(command("simulate", timed_run, *options, *free).out)
     assert allowed["contact"]["first_touch"]["pair"][1] == "ball"
     assert not any("touches" in each for each in allowed["faults"])
     without = json.loads(command("simulate", timed_run, "--no-gravity", "--hold", "0", "--json").out)

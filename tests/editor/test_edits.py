@@ -325,6 +325,9 @@ def test_obstacles_are_put_renamed_replaced_and_taken_away() -> None:
     with pytest.raises(InvalidValue, match="no other obstacle has"):
         edits.with_obstacle("b", one, instead="a")(both)
     assert list(edits.with_obstacle("a", None)(both).scene.obstacles) == ["b"]
+    touchable = edits.with_scene(touchable=("a", "b"))(both)
+    assert edits.with_obstacle("c", two, instead="a")(touchable).scene.touchable == ("b", "c")
+    assert edits.with_obstacle("a", None)(touchable).scene.touchable == ("b",)
     assert edits.with_scene(margin=0.02)(both).scene.margin == 0.02
 
 
