@@ -299,7 +299,7 @@ class Scene(Declared):
             InvalidValue: not obstacles by name.
         """
         require_instance("obstacles", obstacles, Mapping, "a mapping from names of obstacles")
-        touchable = [name for name in self.touchable if name in obstacles]
+        touchable = tuple(name for name in self.touchable if name in obstacles)
         return replace(self, obstacles=obstacles, velocities={}, touchable=touchable)
 
     def without_obstacles(self) -> Scene:
