@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 import pinocchio as pin
@@ -96,6 +96,7 @@ def described_bodies(
     """
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     hulls: dict[str, Array | str] = {}
+    known: dict[tuple[bytes, bytes], Shape] = {}  # shapes of links are often alike
     bodies = []
     faults = []
     for link in parse_xml(arm.urdf or "", "URDF text").iterfind("link"):
@@ -104,9 +105,11 @@ def described_bodies(
             continue
         frame = links[name]
         for element in link.iterfind(tag):
+            same = tostring(element), frame.placement.homogeneous.tobytes()
             try:
-                shape = _read_shape(element, frame.placement, hulls, arm.package_dirs)
-                bodies.append(Body(name, int(frame.parentJoint), shape))
+                if same not in known:
+                    known[same] = _read_shape(element, frame.placement, hulls, arm.package_dirs)
+                bodies.append(Body(name, int(frame.parentJoint), known[same]))
             except (FileError, InvalidValue) as error:
                 faults.append((name, int(frame.parentJoint), str(error)))
     return bodies, list(dict.fromkeys(faults))

@@ -176,6 +176,10 @@ class Target:
     def check(self, arm: Arm) -> None:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
         self.check_numbers(arm)
+        self.check_weights()
+
+    def check_weights(self) -> None:
+        """Raise InvalidValue unless there is a point to control."""
         if not np.any(self.has_target):
             raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
 

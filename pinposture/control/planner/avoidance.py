@@ -670,8 +670,6 @@ class Avoidance:
         self, state: ChainState, solution: Solution | None, stuck: bool
     ) -> tuple[str, ...]:
         """Describe what limits a step: pairs and constraints with active rows, or all close ones if stuck."""
-        if solution is None and not stuck:
-            return ()
         near = self.near(state)
         count = len(near.distances)
         binding = np.zeros(0, dtype=np.bool_) if solution is None else solution.binding

@@ -141,7 +141,7 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
         damping: damping factor.
     """
     scale = _error_scale(objective, bounds.state)
-    if not objective.has_tasks:
+    if not objective.tasks:
         solver = ChainSolver(objective, bounds.state)
         errors, squares = objective.point_errors(bounds.state)
         least = MIN_DAMPING * max(solver.stiffness(), 1e-12 * objective.arm.length**2)

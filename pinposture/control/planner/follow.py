@@ -120,6 +120,7 @@ class PathProgress(NamedTuple):
 
     Attributes:
         timed: the path with its time parameterization.
+        objective: what the steps pursue; that of the path, until the target moves along it.
         place: position of the arm on it, in waypoints.
         speed: motion along it in the last step, in waypoints.
         progress_place: position at which the arm last made progress.
@@ -134,6 +135,7 @@ class PathProgress(NamedTuple):
     """
 
     timed: TimedPath
+    objective: Objective
     place: float = 0.0
     speed: float = 0.0
     progress_place: float = 0.0
@@ -150,11 +152,6 @@ class PathProgress(NamedTuple):
     def path(self) -> JointPath:
         """The path."""
         return self.timed.path
-
-    @property
-    def objective(self) -> Objective:
-        """The objective."""
-        return self.timed.path.objective
 
     def moved_to(
         self,
@@ -179,6 +176,7 @@ class PathProgress(NamedTuple):
         idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.timed.path.end
         return PathProgress(  # faster than `_replace`, and called in nearly every cycle
             self.timed,
+            self.objective,
             place,
             place - self.place,
             self.progress_place if idle else place,
@@ -194,7 +192,7 @@ class PathProgress(NamedTuple):
 
     def matches(self, state: ChainState) -> bool:
         """Whether the arm is close enough to its expected position to stay on the path."""
-        arm = self.timed.path.objective.arm
+        arm = self.objective.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
         chain = arm.kinematics
@@ -212,24 +210,37 @@ class PathProgress(NamedTuple):
         since = bend if self.timed_bend is None else bend - self.timed_bend
         little = np.all(np.abs(since) <= MAX_UNTIMED_BEND * path.arm.joint_units)
         if little and self.timed.bounds is limits.for_arm(path.arm):
-            return self.along(path)._replace(bend=bend)
-        return self.retimed(path, limits)._replace(bend=bend, timed_bend=bend)
+            timed = replace(self.timed, path=path)
+            return self._replace(timed=timed, objective=path.objective, bend=bend, ahead=None)
+        on_bent = self._replace(objective=path.objective, bend=bend, timed_bend=bend)
+        return on_bent.retimed(path, limits)
 
-    def along(self, path: JointPath) -> PathProgress:
-        """Return this progress on a path through the same waypoints with another objective or scene."""
-        return self._replace(timed=replace(self.timed, path=path), ahead=None)
+    @property
+    def on_schedule(self) -> bool:
+        """Whether the target moves along the path, and the arm with it."""
+        return self.timed.scheduled and not self.arrived
+
+    def towards(self, target: Target) -> PathProgress:
+        """Return this progress with another target."""
+        return self._replace(objective=self.objective.with_target(target), ahead=None)
 
     @classmethod
-    def begin(cls, timed: TimedPath, previous: Array | None) -> PathProgress:
-        """Return the progress at the start of a path, for an arm whose previous step was (nv,) long."""
-        if timed.profile is None or previous is None:
-            return cls(timed)
+    def begin(cls, timed: TimedPath, previous: Array | None = None) -> PathProgress:
+        """Return the progress at the start of a path.
+
+        Args:
+            timed: the path.
+            previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
+        """
         path = timed.path
+        if timed.profile is None or previous is None:
+            return cls(timed, path.objective)
         ahead = path.offsets[1] - path.offsets[0]
         squares = float(ahead @ ahead)
         speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
         speed = min(speed, path.end)
-        return cls(timed_again(path, timed.limits, timed.max_rate, speed, timed.effort), speed=speed)
+        timed = timed_again(path, timed.limits, timed.max_rate, speed, timed.effort)
+        return cls(timed, path.objective, speed=speed)
 
 
 class Goal(NamedTuple):
@@ -274,14 +285,16 @@ def follow(
     require_instance("path", path, TimedPath, "a TimedPath, as `retime` returns it")
     if arm_of(state) is not path.path.arm:
         raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")
-    require_step_arguments(state, path.path.objective.target, memory)
+    objective = path.path.objective
+    require_step_arguments(state, objective.target, memory)
     limits = path.limits if limits is None else require_limits(limits)
     state = state.chain_state
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq
-    progress = known if known is not None and known.timed is path else PathProgress.begin(path, previous)
+    on_it = known is not None and known.timed is path and known.objective is objective
+    progress = known if known is not None and on_it else PathProgress.begin(path, previous)
     bounds = limits.for_arm(state.arm)
-    avoidance = Avoidance.of(progress.path.scene, progress.objective, bounds, previous)
+    avoidance = Avoidance.of(progress.path.scene, objective, bounds, previous)
     step = fast_step(progress, state, bounds, previous) if avoidance is None else None
     return advance(progress, state, bounds, bounds.box(state, previous), avoidance) if step is None else step
 
@@ -310,8 +323,8 @@ def fast_step(
     """
     timed = progress.timed
     path = timed.path
-    objective = path.objective
-    if progress.arrived or objective.has_tasks:
+    objective = progress.objective
+    if progress.arrived or objective.tasks:
         return None
     if bounds.brake is not None and path.end == 1.0 and not (timed.scheduled or timed.torques is not None):
         return None  # each joint moves to the end on its own
@@ -333,14 +346,12 @@ def fast_step(
     after = ahead.errors[i + 1]
     dq = ahead.dq[i].copy()
     stopping = None
-    violated: tuple[str, ...] = ()
-    near: tuple[str, ...] = ()
+    messages = _NO_MESSAGES
     if avoidance is not None:
         stopping = avoidance.clear_stop(state, dq)
         if stopping is None:
             return None
-        violated = avoidance.describe_violations(state)
-        near = (path.blocked_by,) if path.blocked_by else ()
+        messages = _Messages.of(avoidance, state, path)
     hindered = place <= progress.place
     moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
     return Step(
@@ -348,11 +359,42 @@ def fast_step(
         objective.active,
         ahead.at_limit[i],
         error_increasing=_rises(objective, before, after),
-        violated_constraints=violated,
-        near=near,
+        violated_constraints=messages.violated,
+        near=messages.near,
         following_path=moved.idle_travel == 0.0,
         memory=GeodesicMemory(dq, stopping, moved, goal),
     )
+
+
+class _Messages(NamedTuple):
+    """Messages on a step beside obstacles; see `Step`.
+
+    Attributes:
+        violated: the margins and constraints that are violated where it begins.
+        near: what limits it, and what its path comes too close to.
+    """
+
+    violated: tuple[str, ...] = ()
+    near: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        avoidance: Avoidance,
+        state: ChainState,
+        path: JointPath,
+        solution: Solution | None = None,
+        stuck: bool = False,
+    ) -> _Messages:
+        """Describe a step on a path; `solution` and `stuck` as for `Avoidance.describe_obstruction`."""
+        near: tuple[str, ...] = ()
+        if stuck or solution is not None:
+            near = avoidance.describe_obstruction(state, solution, stuck)
+        blocked = (path.blocked_by,) if path.blocked_by else ()
+        return cls(avoidance.describe_violations(state), near + blocked)
+
+
+_NO_MESSAGES = _Messages()
 
 
 def _rises(objective: Objective, before: float, after: float) -> bool:
@@ -377,7 +419,7 @@ def _steps_ahead(
     """
     arm = state.arm
     timed = progress.timed
-    path = timed.path
+    goals = progress.objective.chain
     expected = progress.expected
     count = 1 if timed.scheduled else STEPS_AHEAD
     if expected is None:
@@ -401,7 +443,7 @@ def _steps_ahead(
         timed.arrays,
         PathMotion(progress.place, progress.speed, expected, before, bounds.braking),
         PATH_TOLERANCES,
-        PointGoals(path.objective.chain.targets, path.objective.chain.flags),
+        PointGoals(goals.targets, goals.flags),
         found,
     )
     places = found.places[:steps].tolist()
@@ -482,10 +524,8 @@ def pursue(
     none = np.zeros(arm.nv)
     if found is None or bounds.brake is None:
         return None, None
-    if target.q is not None:  # its configuration may miss the points
-        missed = objective.mean_error(ChainState(arm, target.q))
-        if missed > GOAL_TOLERANCE * arm.length:
-            return None, None
+    if target.q is not None and not objective.has_exact_goal:
+        return None, None
     motion = none if before is None else _turned(arm, found - before.positions)
     goal = Goal(target, found, motion)
     steady = False
@@ -571,8 +611,7 @@ def advance(
         avoidance: the obstacles to avoid; None: none.
     """
     if progress.arrived:
-        objective = progress.timed.path.objective
-        candidate = reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
+        candidate = reduce_remaining(progress, StepBounds.of(progress.objective, state, box, avoidance))
     else:
         candidate = step_along(progress, state, box, bounds, avoidance)
     return _check_step(candidate, state, bounds, box, avoidance, progress)
@@ -604,7 +643,7 @@ def step_along(
         avoidance: the obstacles to avoid; None: none.
     """
     path = progress.timed.path
-    objective = path.objective
+    objective = progress.objective
     here = progress.place
     tasks = objective.task_rows(state, priority=True)
     proposal = _next_on_path(progress, state, box, bounds, tasks)
@@ -612,7 +651,7 @@ def step_along(
     if place >= path.end and left <= ARRIVED:
         progress = progress._replace(arrived=True, place=path.end)
         return reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
-    if inside and avoidance is None and not objective.has_tasks:
+    if inside and avoidance is None and not objective.tasks:
         # All weights give the same step here, and a step ahead is progress (see `JointPath.step_along`).
         return CandidateStep(dq, progress.moved_to(place, bounds.travel, hindered and place <= here))
     if progress.timed.profile is None and here < place:
@@ -627,7 +666,7 @@ def step_along(
     wanted = objective.normalize(dq)
     if may_follow and step_bounds.admit(wanted):
         return CandidateStep(dq, progress)
-    if not objective.has_tasks:
+    if not objective.tasks:
         solver = ChainSolver(objective, state)
         found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, step_bounds)
         x = np.clip(wanted, step_bounds.lower, step_bounds.upper) if found.x is None else found.x
@@ -653,14 +692,13 @@ def _bend_to_tasks(
         tasks: the rows of the tasks at the state; None: there are none.
     """
     objective = progress.objective
-    path = progress.path
     state = step_bounds.state
     wanted = objective.normalize(dq)
     hessian = damped_hessian(objective.rows(state).matrix, objective.mu**2)
     first = None
     planned: Array | None = None
     if tasks is not None:
-        planned = _planned_errors(path, progress.place, len(tasks.errors))
+        planned = _planned_errors(progress, progress.place, len(tasks.errors))
         reached = cast(LinearRows, objective.task_rows(objective.state_after(state, wanted), priority=True))
         motion = tasks.matrix @ wanted + reached.errors - planned  # none but `wanted` if that leads there
         first = solve_priority(objective, step_bounds, tasks, motion, wanted)
@@ -687,12 +725,13 @@ def _share(rest: Array, dq: Array) -> Array:
     return rest * float(shares.min(initial=1.0))
 
 
-def _planned_errors(path: JointPath, place: float, count: int) -> Array:
+def _planned_errors(progress: PathProgress, place: float, count: int) -> Array:
     """Return the errors of the tasks with priority at a place on the path, (r,) [m]; 0 if it has none.
 
     They pass straight from those at its start to those at its end, or as the path has them if that is almost
     so: near a singular configuration even the rounding of the path would need large steps.
     """
+    path = progress.timed.path
     before, after = path.task_errors
     if len(before) != count:
         return np.zeros(count)
@@ -700,7 +739,7 @@ def _planned_errors(path: JointPath, place: float, count: int) -> Array:
     straight = (1.0 - share) * before + share * after
     arm = path.arm
     state = arm.chain_at(arm.integrate(path.start, path.smooth_offset(place)))
-    rows = cast(LinearRows, path.objective.task_rows(state, priority=True))
+    rows = cast(LinearRows, progress.objective.task_rows(state, priority=True))
     off = rows.errors - straight
     most = TASK_DEVIATION * float(np.linalg.norm(after - before))
     return straight + off * min(1.0, most / max(float(np.linalg.norm(off)), 1e-300))
@@ -733,19 +772,19 @@ def _next_on_path(
     timed = progress.timed
     path = progress.timed.path
     here = progress.place
-    columns = path.objective.columns
-    units = path.objective.chain.units
+    columns = progress.objective.columns
+    units = progress.objective.chain.units
     if timed.profile is None:
         step = path.step_along(state, here, box.sides)
         left = step.left
         if here >= path.end and tasks is not None:
-            rest = _admitted(path, here, tasks, path.offsets[-1] - path.offset_of(state, here))
+            rest = _admitted(progress, here, tasks, path.offsets[-1] - path.offset_of(state, here))
             left = float(np.abs(rest[columns] / units).max(initial=0.0))
         return _Proposal(step.place, left, step.inside, True, step.dq)
     offset = path.offset_of(state, here)
     rest = path.offsets[-1] - offset
     if tasks is not None and (path.end == 1.0 or here >= path.end):
-        rest = _admitted(path, path.end, tasks, rest)
+        rest = _admitted(progress, path.end, tasks, rest)
     left = float(np.abs(rest[columns] / units).max(initial=0.0))
     alone = path.end == 1.0 and not (timed.scheduled or timed.torques is not None)
     if alone and bounds.brake is not None:
@@ -756,7 +795,7 @@ def _next_on_path(
         return _Proposal(place, left, True, True, dq, rest)
     lag = path.smooth_offset(here) - offset
     if tasks is not None:
-        lag = _admitted(path, here, tasks, lag)
+        lag = _admitted(progress, here, tasks, lag)
     dq = np.empty(state.arm.nv)
     place, hindered, inside = kernels.step_on_profile(
         timed.arrays,
@@ -774,20 +813,20 @@ def _next_on_path(
     return _Proposal(place, left, inside, hindered, dq)
 
 
-def _admitted(path: JointPath, place: float, tasks: LinearRows, motion: Array) -> Array:
+def _admitted(progress: PathProgress, place: float, tasks: LinearRows, motion: Array) -> Array:
     """Return the part of a motion to a place on a path that tasks with priority admit, and what they need.
 
     A path never takes the tasks exactly. An arm that waited for the rest of the motion would wait for ever.
 
     Args:
-        path: the path.
+        progress: position of the arm on the path.
         place: the place, in waypoints.
         tasks: the rows of the tasks at the state from which the motion starts.
         motion: the motion from there, (nv,) [rad or m].
     """
-    objective = path.objective
+    objective = progress.objective
     matrix = tasks.matrix
-    needed = tasks.errors - _planned_errors(path, place, len(tasks.errors))
+    needed = tasks.errors - _planned_errors(progress, place, len(tasks.errors))
     missed = needed - matrix @ objective.normalize(motion)
     damping = PRIORITY_DAMPING * mean_diagonal(objective, matrix)
     change = matrix.T @ np.linalg.solve(damped_hessian(matrix.T, damping), missed)
@@ -796,7 +835,7 @@ def _admitted(path: JointPath, place: float, tasks: LinearRows, motion: Array) -
 
 def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateStep:
     """Return the step that reduces the remaining errors at the end of the path, damped until it does."""
-    objective = progress.timed.path.objective
+    objective = progress.objective
     damping = progress.damping
     found = None
     state = bounds.state
@@ -849,7 +888,7 @@ def _check_step(
     violated = box.violated_constraints
     share = 1.0
     stopping: Array | None = None
-    near: tuple[str, ...] = ()
+    messages = _NO_MESSAGES
     reason = candidate.reason
     if not isfinite(dq @ dq):
         dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
@@ -869,10 +908,9 @@ def _check_step(
             )
         if progress.arrived and avoidance.offset is not None and not (reason or np.any(dq)):
             reason = CANNOT_EVADE
-        violated += relaxed + avoidance.describe_violations(state)
-        near = avoidance.describe_obstruction(state, candidate.solution, bool(reason))
-        near += (progress.timed.path.blocked_by,) if progress.timed.path.blocked_by else ()
-    objective = progress.timed.path.objective
+        violated += relaxed
+        messages = _Messages.of(avoidance, state, progress.timed.path, candidate.solution, bool(reason))
+    objective = progress.objective
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)
     sides = box.sides if share == 1.0 else np.outer((-np.inf, np.inf), np.ones(arm.nv))
@@ -895,8 +933,8 @@ def _check_step(
         at_limit,
         reason,
         error_increasing=_rises(objective, before_error, after_error),
-        violated_constraints=violated,
-        near=near,
+        violated_constraints=violated + messages.violated,
+        near=messages.near,
         following_path=not progress.arrived and progress.idle_travel == 0.0,
         memory=GeodesicMemory(dq, stopping, progress._replace(expected=reached, ahead=None)),
     )

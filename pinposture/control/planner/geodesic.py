@@ -160,56 +160,53 @@ class Geodesic:
             InvalidValue: the target of the path does not fit the arm.
         """
         path.path.objective.target.check(state.arm)
-        progress = PathProgress(path, expected=state.raw_positions)
+        progress = PathProgress.begin(path)._replace(expected=state.raw_positions)
         motion = Memory(np.zeros(state.arm.nv)) if memory is None else memory
         return GeodesicMemory(motion.dq, motion.stopping, progress)
 
-    def _update(
-        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None
-    ) -> PathProgress:
+    def _update(self, now: _Situation) -> PathProgress:
         """Return the progress, on a new path for the first step, a new target or lack of progress."""
+        progress = now.before
         effort = progress is not None and progress.timed.effort
-        if progress is not None and not progress.matches(state):
+        if progress is not None and not progress.matches(now.state):
             progress = None
-        if progress is not None and progress.timed.path.scene is not self.scene:
-            progress = progress.along(progress.path.revised(scene=self.scene))
-        scheduled = progress is not None and progress.timed.scheduled and not progress.arrived
+        scheduled = progress is not None and progress.on_schedule
         if progress is not None and scheduled and progress.idle_travel < MAX_IDLE_TRAVEL:
-            objective = self._objective(state, target, progress)
-            return _within(progress.along(progress.timed.path.revised(objective=objective)), limits)
-        alike = progress is not None and _are_alike(progress.objective.target, target)
+            return _within(self._renewed(progress), now)
+        alike = progress is not None and _are_alike(progress.objective.target, now.target)
         if progress is not None and alike and not progress.arrived and progress.objective.tasks != self.tasks:
             alike = not any(task.priority for task in self.tasks)  # the path bends to where those are
         if progress is not None and not scheduled and alike:
-            updated = self._go_on(state, target, limits, progress)
+            updated = self._go_on(now, progress)
         else:
-            updated = self._plan(state, target, limits, None if scheduled else progress, effort)
+            updated = self._plan(now, None if scheduled else progress, effort)
         moving = self.scene is not None and self.scene.moving
-        if not moving or updated.arrived or updated.timed.path.objective.has_tasks:
+        if not moving or updated.arrived or updated.objective.tasks:
             return updated
-        bounds = limits.for_arm(state.arm)
-        avoidance = Avoidance.of(self.scene, updated.objective, bounds)
+        avoidance = Avoidance.of(self.scene, updated.objective, now.bounds)
         if avoidance is None:
             return updated
-        path = shortcut(updated.path, updated.place, state, bounds, avoidance, prompt=not self.plans)
-        return updated if path is None else PathProgress(timed_again(path, limits, effort=effort))
+        path = shortcut(updated.path, updated.place, now.state, now.bounds, avoidance, prompt=not self.plans)
+        return updated if path is None else PathProgress.begin(timed_again(path, now.limits, effort=effort))
 
-    def _go_on(
-        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress
-    ) -> PathProgress:
-        """Return the progress to the same target, on another path if the arm makes none on this one."""
+    def _renewed(self, progress: PathProgress) -> PathProgress:
+        """Return the progress with the tasks, weights and constraints of this controller."""
         known = progress.objective
-        if known.tasks != self.tasks or known.constraints is not self.constraints:  # need no new path
-            progress = progress.along(progress.path.revised(objective=self._objective(state, target)))
+        objective = self._objective(known.arm, known.target, known)
+        return progress if objective is known else progress._replace(objective=objective, ahead=None)
+
+    def _go_on(self, now: _Situation, progress: PathProgress) -> PathProgress:
+        """Return the progress to the same target, on another path if the arm makes none on this one."""
+        progress = self._renewed(progress)  # which needs no new path
         if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
-            return _within(progress, limits)
+            return _within(progress, now)
         attempt = progress.path.attempt + 1
         if self.scene is not None and self.scene.moving:  # the path may be clear later
             attempt = 0
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
-        path = self._find_path(self._problem(progress.objective, state, limits), attempt)
-        return PathProgress(timed_again(path, limits, effort=progress.timed.effort))
+        path = self._find_path(self._problem(progress.objective, now.state, now.bounds), attempt)
+        return PathProgress.begin(timed_again(path, now.limits, effort=progress.timed.effort))
 
     def _find_path(self, problem: PlanningProblem, attempt: int = 0) -> JointPath:
         if self.plans:
@@ -219,46 +216,43 @@ class Geodesic:
             raise PlanNeeded(attempt)
         return path
 
-    def _problem(self, objective: Objective, state: ChainState, limits: Limits) -> PlanningProblem:
-        bounds = limits.for_arm(state.arm)
+    def _problem(self, objective: Objective, state: ChainState, bounds: JointBounds) -> PlanningProblem:
         return PlanningProblem(objective, state, bounds.edges, Avoidance.of(self.scene, objective, bounds))
 
-    def _plan(
-        self, state: ChainState, target: Target, limits: Limits, progress: PathProgress | None, effort: bool
-    ) -> PathProgress:
+    def _plan(self, now: _Situation, progress: PathProgress | None, effort: bool) -> PathProgress:
         """Return the progress to another target, on the current path if it can be bent.
 
         `effort` is as for `retime`.
         """
-        target.check(state.arm)
-        objective = self._objective(state, target, progress)
-        problem = self._problem(objective, state, limits)
-        fast = problem.avoidance is None and not objective.has_tasks  # wherever the target has gone
+        limits = now.limits
+        objective = now.objective
+        problem = self._problem(objective, now.state, now.bounds)
+        fast = problem.avoidance is None and not objective.tasks  # wherever the target has gone
         if progress is None or not (fast or is_small_change(progress.objective, objective)):
             path = self._find_path(problem)
-            return PathProgress(timed_again(path, limits, effort=effort))
+            return PathProgress.begin(timed_again(path, limits, effort=effort))
         idle = progress.idle_travel >= MAX_IDLE_TRAVEL
         place = np.inf if progress.arrived or progress.path.attempt or idle else progress.place
-        path, bend = replan(progress.path, place, progress.bend, problem, prompt=not self.plans)
+        former = progress.path
+        if former.objective is not progress.objective:
+            former = former.revised(objective=progress.objective)
+        path, bend = replan(former, place, progress.bend, problem, prompt=not self.plans)
         if bend is None:
-            return PathProgress(timed_again(path, limits, effort=effort))
+            return PathProgress.begin(timed_again(path, limits, effort=effort))
         return progress.deformed(path, bend, limits)
 
-    def _objective(
-        self, state: ChainState, target: Target, progress: PathProgress | None = None
-    ) -> Objective:
-        """Return the objective; reuse that of the progress if only the target differs."""
-        if progress is not None:
-            known = progress.timed.path.objective
-            weights = known.relative_position_weight, known.joint_weight
-            if (
-                known.tasks == self.tasks == ()
-                and known.constraints is self.constraints
-                and weights == (self.relative_position_weight, self.joint_weight)
-                and known.arm is state.arm
-            ):
-                return known.with_target(target)
-        return self.objective(state.arm, target)
+    def _objective(self, arm: Arm, target: Target, known: Objective | None) -> Objective:
+        """Return the objective for a target: a known one if that has it, or differs from it in the target."""
+        if (
+            known is None
+            or known.arm is not arm
+            or known.tasks != self.tasks
+            or known.constraints is not self.constraints
+            or known.relative_position_weight != self.relative_position_weight
+            or known.joint_weight != self.joint_weight
+        ):
+            return self.objective(arm, target)
+        return known if known.target is target else known.with_target(target)
 
     def keep_clear(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -305,7 +299,8 @@ class _Situation:
         target: the target posture.
         limits: the limits of the step.
         memory: the memory of the previous step; None at the first.
-        before: progress on the path of the previous step; None: it was not on one.
+        before: progress on the path of the previous step, with the target of this one if that moves along
+            the path; None: it was not on one.
         previous: the previous step, (nv,) [rad or m]; None at the first.
         bounds: the limits of the joints.
         limited_only: whether there is nothing to keep but limits, and nothing to do but the target posture.
@@ -321,13 +316,14 @@ class _Situation:
         self.target = target
         self.limits = limits
         self.memory = memory
-        self.before = memory.progress if isinstance(memory, GeodesicMemory) else None
+        before = memory.progress if isinstance(memory, GeodesicMemory) else None
+        if before is not None and before.objective.target is not target and before.on_schedule:
+            before = before.towards(target)
+        self.before = before
         self.previous = None if memory is None else memory.dq
         self.bounds = limits.for_arm(state.arm)
         self.limited_only = controller.scene is None and not (controller.tasks or controller.constraints)
-        self.direct = self.limited_only and (
-            self.before is None or self.before.arrived or not self.before.timed.scheduled
-        )
+        self.direct = self.limited_only and (before is None or not before.on_schedule)
         self.goal: Goal | None = None
         self._avoidance: tuple[PathProgress, Avoidance | None] | None = None
 
@@ -339,8 +335,9 @@ class _Situation:
     @cached_property
     def objective(self) -> Objective:
         """The objective of the controller for the target."""
-        self.target.check(self.state.arm)
-        return self.controller.objective(self.state.arm, self.target)
+        self.target.check_weights()
+        known = None if self.before is None else self.before.objective
+        return self.controller._objective(self.state.arm, self.target, known)
 
     def avoidance(self, progress: PathProgress) -> Avoidance | None:
         """Return what steps on a path avoid; None if the limits of the joints are all that they keep."""
@@ -348,7 +345,7 @@ class _Situation:
             scene = self.controller.scene
             found = None
             if not (self.limited_only and not progress.arrived and progress.timed.is_held):
-                objective = progress.timed.path.objective
+                objective = progress.objective
                 found = Avoidance.of(scene, objective, self.bounds, self.previous, self.controller.offset)
             self._avoidance = progress, found
         return self._avoidance[1]
@@ -389,11 +386,11 @@ def _continue_path(now: _Situation) -> Step | None:
         return None
     controller = now.controller
     scene = controller.scene
-    path = before.timed.path
-    objective = path.objective
+    objective = before.objective
     same_goal = objective.target is now.target and objective.arm is now.state.arm
-    same_limits = path.scene is scene and objective.constraints is controller.constraints
-    if not (same_goal and same_limits) or controller.tasks or (scene is not None and scene.moving):
+    if not same_goal or objective.constraints is not controller.constraints:
+        return None
+    if controller.tasks or (scene is not None and scene.moving):
         return None
     avoidance = now.avoidance(before)
     if avoidance is not None and not avoidance.still:
@@ -476,7 +473,7 @@ def _follow_path(now: _Situation) -> Step:
     controller = now.controller
     state = now.state
     before = now.before
-    progress = controller._update(state, now.target, now.limits, before)
+    progress = controller._update(now)
     if before is None or progress.timed.path.start is not before.timed.path.start:
         progress = PathProgress.begin(progress.timed, now.previous)
     avoidance = now.avoidance(progress)
@@ -542,11 +539,13 @@ def plan_from(
         The progress at the start of the path, without objective and scene; see `adopt_plan`.
     """
     state = arm.chain_at(q)
-    problem = controller._problem(controller.objective(arm, target), state, limits)
+    problem = controller._problem(controller.objective(arm, target), state, limits.for_arm(arm))
     path = controller._find_path(problem, attempt)
     progress = PathProgress.begin(timed_again(path, limits), previous)
     bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
-    return progress.along(progress.path.revised(**bare))._replace(expected=state.raw_positions)
+    timed = replace(progress.timed, path=progress.path.revised(**bare))
+    nothing = cast(Objective, None)
+    return progress._replace(timed=timed, objective=nothing, expected=state.raw_positions)
 
 
 def adopt_plan(
@@ -567,10 +566,11 @@ def adopt_plan(
         limits: as for `plan_from`.
         late: memory of an arm that arrived late at the start of the path and has braked; None: it is on time.
     """
-    path = progress.path.revised(objective=controller.objective(arm, target), scene=controller.scene)
+    objective = controller.objective(arm, target)
+    path = progress.path.revised(objective=objective, scene=controller.scene)
     timed = replace(progress.timed, path=path, limits=limits, bounds=limits.for_arm(arm))
     if late is None:
-        return progress._replace(timed=timed)
+        return progress._replace(timed=timed, objective=objective)
     return PathProgress.begin(timed, late.dq)._replace(expected=progress.expected)
 
 
@@ -595,10 +595,10 @@ def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
     return bool(np.all((positions >= bounds.edges[0] - most) & (positions <= bounds.edges[1] + most)))
 
 
-def _within(progress: PathProgress, limits: Limits) -> PathProgress:
+def _within(progress: PathProgress, now: _Situation) -> PathProgress:
     """Return the progress, retimed if the limits have changed."""
-    same = progress.timed.bounds is limits.for_arm(progress.timed.path.objective.arm)
-    return progress if same else progress.retimed(progress.timed.path, limits)
+    timed = progress.timed
+    return progress if timed.bounds is now.bounds else progress.retimed(timed.path, now.limits)
 
 
 def _step_before_planning(

@@ -145,7 +145,7 @@ class Objective:
     Attributes:
         arm: the arm.
         target: the target posture. `Target.weights` weigh the squared errors.
-        tasks: further tasks.
+        tasks: further tasks. Without them, points and chords are solved by a pass along the chain.
         relative_position_weight: weight of the squared error of a chord, relative to that of a point.
         joint_weight: weight of joint motion against the motion of control points; see `Geodesic`.
         constraints: constraints to keep on the way to the goals.
@@ -183,9 +183,11 @@ class Objective:
         return self._layout.active
 
     @cached_property
-    def has_tasks(self) -> bool:
-        """Whether there are further tasks; points and chords alone are solved by a pass along the chain."""
-        return bool(self.tasks)
+    def has_exact_goal(self) -> bool:
+        """Whether the configuration of the target takes its points: it may miss them, or not be known."""
+        if self.target.q is None:
+            return False
+        return self.mean_error(ChainState(self.arm, self.target.q)) <= GOAL_TOLERANCE * self.arm.length
 
     @cached_property
     def chain(self) -> ChainObjective:

@@ -53,10 +53,10 @@ class JointPath:
     A place on the path is measured in waypoints from the start, in [0, N].
 
     Attributes:
-        objective: the objective, which includes the target posture.
+        objective: what it was planned for, which includes the target posture.
         start: configuration at which the path begins, (nq,).
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
-        scene: the obstacles; None: none.
+        scene: the obstacles among which it was planned; None: none.
         attempt: number of paths to the same target that were abandoned before this one.
         blocked_by: message naming the pair that comes too close, and the constraints that the path violates;
             empty if it is clear.

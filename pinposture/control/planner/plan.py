@@ -308,7 +308,7 @@ def shortcut(
         avoidance: the obstacles to avoid.
         prompt: whether only a path that is found within a cycle is sought.
     """
-    objective = path.objective
+    objective = avoidance.objective
     goal = path.configuration(path.end)
     arm = state.arm
     change = objective.normalize(arm.difference(state.q, goal))
@@ -611,7 +611,7 @@ def replan(
     objective, state, edges, avoidance = problem
     arm = objective.arm
     before = path.configuration(path.end)
-    known = None if objective.has_tasks else _known_goal(objective, edges, before)
+    known = None if objective.tasks else _known_goal(objective, edges, before)
     if known is not None and (avoidance is None or avoidance.allows(known)):
         goal = known
         clear = True
@@ -620,7 +620,7 @@ def replan(
             raise PlanNeeded
         start = arm.chain_at(before)
         good = GOAL_TOLERANCE * arm.length
-        if avoidance is None and not objective.has_tasks:
+        if avoidance is None and not objective.tasks:
             first = start if objective.target.q is None else None
             enough = _achievable_error(path.objective, objective, start)
             found = find_goal(problem, good, first, enough, prompt)
@@ -636,7 +636,7 @@ def replan(
         errors = _task_errors(objective, state, goal, path, place)
         return replace(path.bent(place, change, edges), objective=objective, task_errors=errors), bent
     new = None
-    if not objective.has_tasks or _size(objective, arm.difference(state.q, goal.q)) <= MIN_PLANNED_MOTION:
+    if not objective.tasks or _size(objective, arm.difference(state.q, goal.q)) <= MIN_PLANNED_MOTION:
         new = short_path(problem, goal)
     if new is None and prompt:
         raise PlanNeeded
@@ -667,7 +667,7 @@ def _known_goal(objective: Objective, edges: Array, before: Array) -> ChainState
         return None
     goal = ChainState(arm, arm.nearest_turns(q, before, edges))
     inside = kernels.position_excess(goal.raw_positions, edges, arm.kinematics.columns) == 0.0
-    return goal if inside and objective.mean_error(goal) <= GOAL_TOLERANCE * arm.length else None
+    return goal if inside and objective.has_exact_goal else None
 
 
 def _size(objective: Objective, change: Array) -> float:

@@ -224,7 +224,7 @@ class _Waypoints:
         self.weight = objective.mu**2
         self.objective = objective
         self.start = start
-        self.positions = arm.positions(start)
+        self.positions = arm.difference(arm.origin, start)
         lower, upper = ((edge - self.positions)[objective.columns] / objective.units for edge in edges)
         # From a start outside its limits, the waypoints come back along the path.
         self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)

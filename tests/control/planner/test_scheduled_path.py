@@ -174,9 +174,10 @@ def test_an_arm_that_moves_along_a_new_way_is_taken_to_be_under_way(speed: float
     timed = retime(path, pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0))
     # Rows are 0.02 rad apart.
     assert PathProgress.begin(timed, np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
-    assert PathProgress.begin(timed, None) == PathProgress(timed)
+    assert PathProgress.begin(timed, None) == PathProgress(timed, timed.path.objective)
     free = retime(path, pp.Limits(step=0.1))
-    assert free.profile is None and PathProgress.begin(free, np.array([speed])) == PathProgress(free)
+    assert free.profile is None
+    assert PathProgress.begin(free, np.array([speed])) == PathProgress(free, free.path.objective)
 
 
 def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
