@@ -148,8 +148,7 @@ def score(results: str | Path, cases: str | Path) -> tuple[str, list[Row]]:
             results, f"contains results for other cases; the checksum of {cases} is {checksum(cases)}"
         )
     arms = {
-        name: Arm.load(each["urdf"], modules=each["joints_per_module"])
-        for name, each in known["arms"].items()
+        name: Arm.load(each["urdf"], split=each["joints_per_module"]) for name, each in known["arms"].items()
     }
     ids = {each["id"] for each in known["cases"]}
     answers: dict[str, Any] = {}

@@ -38,7 +38,7 @@ print(f"from the bow to the line: {run.verdict}")
 # What the description does not say: torque limits of single joints, masses from a density.
 strong = arm.with_effort({name: 6.0 if name < "m05" else 2.0 for name in arm.joint_names})
 print(f"with stronger motors at the base: {strong.at(strong.straight()).most_loaded()}")
-bare = pp.Arm.load(wall.urdf.replace("inertial", "ignored"), modules=2)
+bare = pp.Arm.load(wall.urdf.replace("inertial", "ignored"), split=2)
 aluminium = pp.weigh(bare, density=2700.0)
 print(f"solid aluminium: {sum(load.mass for load in aluminium.weight.masses):.2f} kg")
 

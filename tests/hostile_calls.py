@@ -155,6 +155,7 @@ def examples() -> dict[str, Any]:
         "base_placement": np.eye(4),
         "name": "RyRz",
         "modules": 3,
+        "split": 2,
         "Arm.from_modules.modules": [pp.template("RyRz")],
         "link_lengths": (0.02, 0.03),
         "source": arm.urdf,

@@ -83,7 +83,7 @@ def built_subject(name: str) -> Subject:
         return Subject(name, Arm.from_modules(SPATIAL, name=name), BUILT[name])
     pairs, rest = divmod(len(PLANAR), 2)
     sizes = [2] * pairs + [1] * rest
-    return Subject(name, Arm.load(modules_to_urdf(PLANAR, name), modules=sizes), BUILT[name])
+    return Subject(name, Arm.load(modules_to_urdf(PLANAR, name), split=sizes), BUILT[name])
 
 
 def loaded_subject(arm: Arm) -> Subject:

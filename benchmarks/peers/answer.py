@@ -49,7 +49,7 @@ def by_peer(case: dict[str, Any], known: dict[str, Any]) -> list[list[float]] | 
 def by_controller(name: str, case: dict[str, Any], known: dict[str, Any]) -> list[list[float]]:
     """The way of a controller of this library."""
     told = known["arms"][case["arm"]]
-    arm = pp.Arm.load(told["urdf"], modules=told["joints_per_module"])
+    arm = pp.Arm.load(told["urdf"], split=told["joints_per_module"])
     target = pp.fit_points(arm, np.array(case["target"]))
     scene = None if case["scene"] is None or name != "geodesic" else pp.Scene.from_dict(case["scene"])
     limits = pp.Limits(step=known["step_limit"])

@@ -51,13 +51,10 @@ from pinposture.arm.kinematics import (
 )
 from pinposture.arm.loading import (
     LoadedModel,
-    LoadOptions,
     LoadReport,
-    Modules,
     load_model,
     place_base,
 )
-from pinposture.arm.macros import read_arguments
 from pinposture.arm.manipulability import (
     ControlPoints,
     Ellipsoid,
@@ -248,27 +245,15 @@ class Arm(ConfigurationSpace):
         placement = None if spec.placement is None else spec.placement.build()
         if spec.urdf is None:
             return cls._from_templates(spec, spec.module_templates(), placement)
-        options = LoadOptions(
-            base=spec.base,
-            tip=spec.tip,
-            modules=spec.split,
-            locked=spec.locked,
-            package_dirs=spec.package_dirs,
-            base_placement=placement,
-            couplings=spec.couplings,
-            xacro_args=spec.xacro_args,
-            hard_limits=spec.hard_limits,
-        )
-        return cls._from_loaded(load_model(spec.urdf, options), spec)
+        return cls._from_loaded(load_model(spec.urdf, spec, spec.split, placement), spec)
 
     @classmethod
     def _from_templates(
         cls, spec: ArmSpec, modules: Sequence[ModuleTemplate], base_placement: pin.SE3 | None
     ) -> Arm:
         text = modules_to_urdf(modules, f"{spec.template}_{spec.modules}")
-        sizes = [len(module.joints) for module in modules]
-        options = LoadOptions(modules=sizes, base_placement=base_placement)
-        return cls._from_loaded(load_model(text, options), spec)
+        sizes = tuple(len(module.joints) for module in modules)
+        return cls._from_loaded(load_model(text, spec, sizes, base_placement), spec)
 
     @classmethod
     def from_modules(
@@ -291,7 +276,7 @@ class Arm(ConfigurationSpace):
         require_instance("modules", modules, Iterable, "a sequence of ModuleTemplate")
         listed = list(modules)
         text = modules_to_urdf(listed, name)
-        return cls.load(text, modules=[len(m.joints) for m in listed], base_placement=base_placement)
+        return cls.load(text, split=[len(m.joints) for m in listed], base_placement=base_placement)
 
     @classmethod
     def load(
@@ -299,7 +284,7 @@ class Arm(ConfigurationSpace):
         source: str | Path | pin.Model,
         base: str | None = None,
         tip: str | None = None,
-        modules: Modules = None,
+        split: int | str | Sequence[int] | Sequence[str] | None = None,
         *,
         locked: Mapping[str, float] | None = None,
         package_dirs: Sequence[str | Path] | None = None,
@@ -311,7 +296,7 @@ class Arm(ConfigurationSpace):
         """Load an arm from a robot description; meshes are not needed.
 
             pp.Arm.load("arm.urdf")
-            pp.Arm.load("ur10e_description", modules=2)
+            pp.Arm.load("ur10e_description", split=2)
             pp.Arm.load("arm.xml", base="torso", tip="hand")
             pp.Arm.load("arm.urdf.xacro", xacro_args={"pitch": 0.2})
 
@@ -321,9 +306,9 @@ class Arm(ConfigurationSpace):
                 freedom. Models are converted to URDF, without shapes; MJCF by MuJoCo, with shapes
                 (`pinposture.arm.mjcf`).
             base: first link of the arm; the root if None.
-            tip: last link of the arm; if None, the last of the links in `modules`, or the end of the longest
+            tip: last link of the arm; if None, the last of the links in `split`, or the end of the longest
                 moving chain (`pinposture.arm.description`).
-            modules: joints per module, one number for all or one for each module; or names of the links at
+            split: joints per module, one number for all or one for each module; or names of the links at
                 whose origins modules end. If None, the smallest modules that can follow any curve
                 (`pinposture.arm.segmentation`).
             locked: joints to lock and their positions [rad or m]. Joints off the chain are always locked:
@@ -346,42 +331,27 @@ class Arm(ConfigurationSpace):
             URDFError: unusable description, or more than 5,000 moving joints or 10,001 links; names the link
                 or joint and the reason.
             UnknownName: `base`, `tip`, a locked joint or an argument of xacro does not exist.
-            InvalidValue: `modules` does not fit the chain, or another argument is invalid.
+            InvalidValue: `split` does not fit the chain, or another argument is invalid.
         """
-        if not isinstance(hard_limits, bool):
-            raise InvalidValue("hard_limits", hard_limits, "True or False")
-        options = LoadOptions(
-            base=base,
-            tip=tip,
-            modules=modules,
-            locked=locked,
-            package_dirs=package_dirs,
-            base_placement=base_placement,
-            couplings=couplings,
-            xacro_args=xacro_args,
-            hard_limits=hard_limits,
-        )
-        loaded = load_model(source, options)
-        folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
+        given: dict[str, Any] = {
+            "base": base,
+            "tip": tip,
+            "split": split,
+            "locked": locked,
+            "package_dirs": package_dirs,
+            "couplings": couplings,
+            "xacro_args": xacro_args,
+        }
+        chosen = {name: value for name, value in given.items() if value is not None}
+        chain = ArmSpec(**chosen, hard_limits=hard_limits)
+        loaded = load_model(source, chain, chain.split, base_placement)
         # A name does not identify the text.
-        kept = not isinstance(source, pin.Model) and not is_urdf_text(source) and Path(source).exists()
-        if not kept:
-            folders = loaded.report.package_dirs
-        split = (modules,) if isinstance(modules, str) else modules
-        spec = ArmSpec(
-            urdf=settled(source) if kept else loaded.text,
-            base=base,
-            tip=tip,
-            split=None if split is None else np.asarray(split).tolist(),
-            locked={name: float(position) for name, position in (locked or {}).items()},
-            package_dirs=tuple(settled(folder) for folder in folders),
-            couplings={
-                name: leader if isinstance(leader, str) else tuple(leader)
-                for name, leader in (couplings or {}).items()
-            },
-            xacro_args=read_arguments(xacro_args) if kept else {},
-            hard_limits=hard_limits,
-        )
+        if not isinstance(source, pin.Model) and not is_urdf_text(source) and Path(source).exists():
+            folders = tuple(settled(folder) for folder in chain.package_dirs)
+            spec = replace(chain, urdf=settled(source), package_dirs=folders)
+        else:
+            folders = tuple(settled(folder) for folder in loaded.report.package_dirs)
+            spec = replace(chain, urdf=loaded.text, package_dirs=folders, xacro_args={})
         if isinstance(source, pin.Model) and source.gravity != loaded.model.gravity:
             spec = replace(spec, weight=Weight(gravity=tuple(source.gravity.linear.tolist())))
         return cls._from_loaded(loaded, spec)

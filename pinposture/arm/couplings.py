@@ -240,7 +240,9 @@ class CoupledJoints(NamedTuple):
     drives: list[Drive]
 
 
-def with_couplings(description: Description, given: Mapping[str, object] | None) -> Description:
+def with_couplings(
+    description: Description, given: Mapping[str, str | tuple[str, float] | tuple[str, float, float]]
+) -> Description:
     """Add couplings given by the user to a description.
 
     Args:
@@ -250,25 +252,14 @@ def with_couplings(description: Description, given: Mapping[str, object] | None)
 
     Raises:
         UnknownName: a joint does not exist.
-        InvalidValue: not a name and numbers; names the joint.
     """
     joints = {joint.name: joint for joint in description.joints}
-    for name, value in (given or {}).items():
+    for name, leader in given.items():
         require_known("moving joint", name, [each for each in joints if joints[each].type in CHAIN_JOINTS])
-        joints[name] = replace(joints[name], follows=_read_follows(name, value))
+        joints[name] = replace(
+            joints[name], follows=Follows(leader) if isinstance(leader, str) else Follows(*leader)
+        )
     return replace(description, joints=tuple(joints.values()))
-
-
-def _read_follows(name: str, value: object) -> Follows:
-    parts = (value,) if isinstance(value, str) or not isinstance(value, Sequence) else tuple(value)
-    try:
-        numbers = [float(part) for part in parts[1:]]
-        if isinstance(parts[0], str) and len(numbers) <= 2 and all(map(math.isfinite, numbers)):
-            return Follows(parts[0], *[*numbers, *(1.0, 0.0)[len(numbers) :]])
-    except (IndexError, TypeError, ValueError):
-        pass
-    allowed = "the name of the joint it follows, then a ratio and an offset [rad or m], if not 1 and 0"
-    raise InvalidValue(f"couplings[{name!r}]", value, allowed)
 
 
 def find_couplings(

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import operator
-import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -27,17 +25,14 @@ from pinposture.arm.couplings import (
 )
 from pinposture.arm.description import Description, leading_joint, read_description
 from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
-from pinposture.arm.macros import read_arguments
 from pinposture.arm.model_builder import build_model
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
 from pinposture.arm.soft_limits import soft_limit_warnings, soft_limited, with_soft_limits
 from pinposture.arm.sources import Source, find_urdf
+from pinposture.arm.specification import ArmSpec, Split
 from pinposture.arm.urdf import CHAIN_JOINTS, JointDescription, is_urdf_text, quote_joints, quote_names
 from pinposture.errors import InvalidValue, URDFError
 from pinposture.units import length_text
-
-Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
-"""How to split the chain: joints per module, one number for all or one each, or links where modules end."""
 
 ALLOWED_LENGTHS = (1e-9, 1e9)
 """Shortest and longest accepted chain [m]; beyond these, squared lengths could under- or overflow."""
@@ -83,36 +78,27 @@ class LoadedModel(NamedTuple):
     report: LoadReport  # decisions made
 
 
-@dataclass(frozen=True)
-class LoadOptions:
-    """What is made of a description: the arguments of `Arm.load`."""
+def load_model(
+    source: str | Path | pin.Model,
+    spec: ArmSpec,
+    split: Split | None = None,
+    base_placement: pin.SE3 | None = None,
+) -> LoadedModel:
+    """Load and check a description, reduce it to the chain and split that into modules. See `Arm.load`.
 
-    base: str | None = None
-    tip: str | None = None
-    modules: Modules = None
-    locked: Mapping[str, float] | None = None
-    package_dirs: Sequence[str | Path] | None = None
-    base_placement: pin.SE3 | None = None
-    couplings: Mapping[str, object] | None = None
-    xacro_args: Mapping[str, object] | None = None
-    hard_limits: bool = False
-
-
-def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedModel:
-    """Load and check a description, reduce it to the chain and split that into modules. See `Arm.load`."""
-    base = options.base
-    tip = options.tip
-    placed = options.base_placement
-    placement = None if placed is None else rigid_placement("base_placement", placed)
-    for name, values in (("locked", "positions"), ("couplings", "leaders")):
-        given = getattr(options, name)
-        if not isinstance(given, Mapping | None):
-            raise InvalidValue(name, given, f"a mapping from names of joints to {values}, or None")
-    given_folders = _checked_folders(options.package_dirs)
-    found = find_urdf(source, given_folders, read_arguments(options.xacro_args))
-    read = with_couplings(read_description(found.urdf, found.name), options.couplings)
-    description = read if options.hard_limits else with_soft_limits(read)
-    links, sizes = _read_modules(options.modules)
+    Args:
+        source: the description.
+        spec: the chain in it.
+        split: its modules; that of the specification is not read.
+        base_placement: placement of the root link in the world; the origin if None.
+    """
+    base = spec.base
+    tip = spec.tip
+    placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
+    found = find_urdf(source, spec.package_dirs, spec.xacro_args)
+    read = with_couplings(read_description(found.urdf, found.name), spec.couplings)
+    description = read if spec.hard_limits else with_soft_limits(read)
+    links = _link_names(split)
     if tip is None and links:
         tip = links[-1]
     wrist = None
@@ -123,7 +109,8 @@ def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedMo
         message = "base= alone does not determine the chain; pass tip= as well"
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
     base = description.root if base is None else base
-    locks = _checked_locks(description, options.locked or {})
+    locks = spec.locked
+    _check_locks(description, locks)
     coupled = _moving_joints(description, base, tip, locks)
     names = [joint.name for joint in coupled.moving]
     model = _chain_model(description, coupled, locks)
@@ -131,11 +118,11 @@ def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedMo
         place_base(model, placement)
     skeleton = read_skeleton(model, names, tip, *ConfigurationSpace(model).limits[:2])
     _check_length(skeleton.length, description.source, f"chain from {base!r} to {tip!r}")
-    segmentation = _modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
+    segmentation = _modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, split)
     points = _add_end_frames(model, names, tip, segmentation.sizes, links)
     warnings = [*description.doubled]
     warnings += _lock_warnings(description, base, tip, names, locks)
-    if not options.hard_limits:
+    if not spec.hard_limits:
         warnings.extend(soft_limit_warnings(read, names))
     if skeleton.length > SUSPECT_LENGTH:
         warnings.append(f"the arm is {skeleton.length:.4g} m long; is it in millimetres, not metres?")
@@ -143,7 +130,7 @@ def load_model(source: str | Path | pin.Model, options: LoadOptions) -> LoadedMo
         warnings.append(segmentation.reason)
     if wrist is not None:
         warnings.append(f"the arm ends in a finger, at link {tip!r}; tip={wrist!r} ends it before the hand")
-    folders = _mesh_folders(found, given_folders)
+    folders = _mesh_folders(found, spec.package_dirs)
     narrowed = soft_limited(description, read, names)
     decided = (folders, tuple(warnings), segmentation, narrowed, tuple(coupled.drives))
     report = LoadReport(base, tip, *decided)
@@ -161,12 +148,10 @@ def _chain_model(description: Description, coupled: CoupledJoints, locks: Mappin
 
 
 def description_text(
-    source: str | Path,
-    package_dirs: Sequence[str | Path] | None = None,
-    xacro_args: Mapping[str, object] | None = None,
+    source: str | Path, package_dirs: Sequence[Path] = (), xacro_args: Mapping[str, str] | None = None
 ) -> str:
     """Return the URDF text that `Arm.urdf` would be if an arm were loaded from a source."""
-    found = find_urdf(source, _checked_folders(package_dirs), read_arguments(xacro_args))
+    found = find_urdf(source, package_dirs, xacro_args)
     return read_description(found.urdf, found.name).text
 
 
@@ -179,12 +164,12 @@ def _check_length(length: float, source: str, chain: str) -> None:
         raise URDFError(source, chain, f"is {length_text(length)} long; allowed: {allowed}")
 
 
-def _segmentation(skeleton: Skeleton, sizes: int | tuple[int, ...] | None) -> Segmentation:
-    if sizes is None:
+def _segmentation(skeleton: Skeleton, split: Split | None) -> Segmentation:
+    if split is None:
         return segment(skeleton)
-    if isinstance(sizes, int):
-        return equal_modules(len(skeleton.names), sizes)
-    return given_modules(len(skeleton.names), sizes)
+    if isinstance(split, int):
+        return equal_modules(len(skeleton.names), split)
+    return given_modules(len(skeleton.names), [each for each in split if isinstance(each, int)])
 
 
 def place_base(model: pin.Model, placement: pin.SE3) -> None:
@@ -198,34 +183,9 @@ def place_base(model: pin.Model, placement: pin.SE3) -> None:
             frame.placement = placement * frame.placement
 
 
-def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, ...] | None]:
-    """Return the links at which modules end and the sizes of modules, whichever is given."""
-    if modules is None:
-        return (), None
-    if isinstance(modules, str):
-        return (modules,), None
-    try:
-        listed = list(modules) if isinstance(modules, (Sequence, np.ndarray)) else None
-        if listed and all(isinstance(entry, str) for entry in listed):
-            return tuple(map(str, listed)), None
-        numbers: list[Any] = [modules] if listed is None else listed
-        if any(isinstance(number, (bool, np.bool_)) for number in numbers):
-            raise TypeError
-        whole = tuple(operator.index(number) for number in numbers)
-    except TypeError:
-        allowed = "a whole number, whole numbers, or names of links"
-        raise InvalidValue("modules", modules, allowed) from None
-    return (), whole[0] if listed is None else whole
-
-
-def _checked_folders(given: Sequence[str | Path] | None) -> list[Path]:
-    """Return the folders of packages that are given, absolute; raise InvalidValue unless they are paths."""
-    if isinstance(given, (str, os.PathLike)):
-        given = [given]
-    try:
-        return [Path(folder).absolute() for folder in given or ()]
-    except TypeError:
-        raise InvalidValue("package_dirs", given, "paths of folders") from None
+def _link_names(split: Split | None) -> tuple[str, ...]:
+    """Return the links at which modules end, if they are given by these."""
+    return tuple(each for each in split if isinstance(each, str)) if isinstance(split, tuple) else ()
 
 
 def _mesh_folders(found: Source, given: Sequence[Path]) -> tuple[str, ...]:
@@ -276,22 +236,16 @@ def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -
     return f"has no {'joint that can move an arm' if other else 'moving joint'}{''.join(reasons)}"
 
 
-def _checked_locks(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
-    """Return the checked positions of the joints that the user locks [rad or m]."""
+def _check_locks(description: Description, locked: Mapping[str, float]) -> None:
+    """Raise unless the joints that the user locks exist, at one number each."""
     known = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
-    checked = {}
     for name, value in locked.items():
         require_known("moving joint", name, known)
         if known[name].type in MULTI_DOF_JOINTS:
             allowed = f"nothing: the joint is {known[name].type}, its position is not a single number"
-            raise InvalidValue(f"locked[{name!r}]", value, allowed)
-        try:
-            checked[name] = float(value)
-        except (TypeError, ValueError, OverflowError):
-            checked[name] = np.nan
-        if not abs(checked[name]) < NO_LIMIT:
-            raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{NO_LIMIT:g}")
-    return checked
+            raise InvalidValue(f"locked.{name}", value, allowed)
+        if not abs(value) < NO_LIMIT:
+            raise InvalidValue(f"locked.{name}", value, f"a joint position within +-{NO_LIMIT:g}")
 
 
 def _lock_others(
@@ -438,11 +392,11 @@ def _modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]
             allowed = (
                 "links in order from base to tip, each moved by a joint that does not move the previous one"
             )
-            raise InvalidValue(f"modules: link {link!r}", f"moved by {end} joints of the chain", allowed)
+            raise InvalidValue(f"split: link {link!r}", f"moved by {end} joints of the chain", allowed)
         ends.append(end)
     if ends[-1] != n:
         allowed = f"a link moved by all {n} joints of the chain"
-        raise InvalidValue(f"modules: last link {links[-1]!r}", f"moved by {ends[-1]} of them", allowed)
+        raise InvalidValue(f"split: last link {links[-1]!r}", f"moved by {ends[-1]} of them", allowed)
     sizes = tuple(b - a for a, b in pairwise(ends))
     return Segmentation(sizes, "modules end at the links that were given")
 

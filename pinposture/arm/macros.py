@@ -101,7 +101,7 @@ def read_arguments(given: object) -> dict[str, str]:
         elif isinstance(value, str) or is_number(value):
             read[name] = str(value)
         else:
-            raise InvalidValue(f"xacro_args[{name!r}]", value, "text, a number or a truth value")
+            raise InvalidValue(f"xacro_args.{name}", value, "text, a number or a truth value")
     return read
 
 

@@ -73,7 +73,7 @@ def equal_modules(joints: int, size: int) -> Segmentation:
     if size < 1 or joints % size:
         divisors = ", ".join(str(k) for k in range(1, joints + 1) if joints % k == 0)
         allowed = f"a divisor of {joints} joints: {divisors}"
-        raise InvalidValue("modules (joints per module)", size, allowed)
+        raise InvalidValue("split (joints per module)", size, allowed)
     return Segmentation((size,) * (joints // size), f"{count_joints(size)} for each module, as given")
 
 
@@ -85,7 +85,7 @@ def given_modules(joints: int, sizes: Sequence[int]) -> Segmentation:
     """
     if not sizes or min(sizes) < 1 or sum(sizes) != joints:
         allowed = f"positive whole numbers that add up to {joints} joints"
-        raise InvalidValue("modules (sizes)", list(sizes), allowed)
+        raise InvalidValue("split (sizes)", list(sizes), allowed)
     return Segmentation(tuple(sizes), "sizes as given")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import field, fields
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, TypeAlias, cast
 
 import numpy as np
 import pinocchio as pin
@@ -85,6 +85,9 @@ class FeedSpec(Declared):
     speed: Speed = 0.1
 
 
+Split: TypeAlias = "int | tuple[int, ...] | tuple[str, ...]"
+"""How to split a chain: joints per module, one number for all or one each, or links where modules end."""
+
 OF_A_TEMPLATE = ("template", "modules", "link_lengths", "joint_limits", "feed")
 OF_A_URDF = (
     "urdf",
@@ -135,10 +138,11 @@ def _read_urdf(value: object, info: ValidationInfo) -> Path | str:
 
 
 def _read_split(value: Any, _: ValidationInfo) -> Any:
-    listed = list(value) if isinstance(value, list | tuple) else [value]
+    plain = value.tolist() if isinstance(value, np.ndarray | np.integer) else value
+    listed = list(plain) if isinstance(plain, list | tuple) else [plain]
     if not listed or not any(is_list_of(test)(listed) for test in (is_whole, is_text)):
         raise NotAllowed(value, "a whole number, whole numbers, or names of links")
-    return int(value) if is_whole(value) else tuple(listed)
+    return plain if is_whole(plain) else tuple(listed)
 
 
 def _read_coupling(value: object, _: ValidationInfo) -> Any:
@@ -156,10 +160,14 @@ def _read_coupling(value: object, _: ValidationInfo) -> Any:
 
 def _read_folders(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
     source = in_file(info)
-    kinds = str if source is not None else str | Path
-    if not is_list_of(lambda each: isinstance(each, kinds))(value):
+    if source is None:
+        listed = [value] if isinstance(value, str | Path) else value
+        if not is_list_of(lambda each: isinstance(each, str | Path))(listed):
+            raise NotAllowed(value, "paths of folders")
+        return tuple(Path(each).absolute() for each in listed)
+    if not is_list_of(is_text)(value):
         raise NotAllowed(value, "a list of folders")
-    return tuple(Path(each) if source is None else settled(source.resolve(each)) for each in value)
+    return tuple(settled(source.resolve(each)) for each in value)
 
 
 def _read_xacro_args(value: object, info: ValidationInfo) -> dict[str, str]:
@@ -168,7 +176,8 @@ def _read_xacro_args(value: object, info: ValidationInfo) -> dict[str, str]:
     try:
         return read_arguments(value)
     except InvalidValue as error:
-        raise NotAllowed(error.value, error.allowed) from error
+        _, _, argument = error.name.partition(".")
+        raise NotAllowed(error.value, error.allowed, *filter(None, [argument])) from error
 
 
 def _of_fields(kind: type) -> BeforeValidator:
@@ -218,7 +227,7 @@ class ArmSpec(Declared):
     urdf: Annotated[Path | str, read_by(_read_urdf)] | None = None
     base: Text | None = None
     tip: Text | None = None
-    split: Annotated[int | tuple[int, ...] | tuple[str, ...], read_by(_read_split)] | None = None
+    split: Annotated[Split, read_by(_read_split)] | None = None
     locked: Annotated[dict[str, Annotated[float, quantity("angle", "length")]], Table] = field(
         default_factory=dict
     )
@@ -248,6 +257,8 @@ class ArmSpec(Declared):
 
     @model_validator(mode="after")
     def _one_source(self) -> ArmSpec:
+        if self.urdf is None and self.template is None:
+            return self
         kind, other = (OF_A_URDF, OF_A_TEMPLATE) if self.urdf is not None else (OF_A_TEMPLATE, OF_A_URDF)
         for key in other:
             if getattr(self, key) not in (None, {}, (), False):

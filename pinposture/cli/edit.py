@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import webbrowser
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +39,7 @@ MODULES = 20
     "pinposture edit",
     "pinposture edit examples/tasks/keyframes.toml",
     "pinposture edit RyRz --modules 40 --save-as snake.toml",
-    "pinposture edit arm.urdf --modules 2 --save-as dance.toml",
+    "pinposture edit arm.urdf --split 2 --save-as dance.toml",
     "pinposture edit dance.toml --joint-states measured.jsonl --port 8090",
 )
 def run(
@@ -52,6 +52,10 @@ def run(
         ),
     ] = "RyRz",
     arm_options: ArmOptions,
+    modules: Annotated[
+        int | None,
+        typer.Option(metavar="N", help=f"Number of modules of a template; {MODULES} by default."),
+    ] = None,
     save_as: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Name of a new task file; otherwise it is named after the arm."),
@@ -89,7 +93,7 @@ def run(
     from pinposture.editor.files import autosave_path
     from pinposture.editor.ui.server import is_loopback
 
-    task, path = read_task(source, arm_options, save_as, folder)
+    task, path = read_task(source, arm_options, save_as, folder, modules)
     compile_missing()  # now, with a progress bar; otherwise the page would remain empty
     host = page_options.host
     editor = Editor(task, path, host, page_options.port, joint_states, folder)
@@ -129,9 +133,15 @@ class PageOptions:
 
 
 def read_task(
-    source: str, arm_options: ArmOptions, save_as: Path | None, folder: Path | None = None
+    source: str,
+    arm_options: ArmOptions,
+    save_as: Path | None,
+    folder: Path | None = None,
+    modules: int | None = None,
 ) -> tuple[Task, Path]:
     """Return the task to edit and its file, which may not exist yet; new files are created in `folder`.
+
+    `modules` is the number of modules of a template.
 
     Raises:
         PostureError: no such file or template, or as in `Task.load` and `Arm.load`.
@@ -144,6 +154,7 @@ def read_task(
         arm_options.refuse("nothing: the task file defines it")
         saves = f"nothing: the page saves {source}, and others by File > Save under this name"
         refuse_given({"--save-as": save_as}, saves)
+        refuse_given({"--modules": modules}, "nothing: the task file defines it")
         path = Path(source).absolute()
         # If the file was never saved or is gone, restore the automatically saved changes.
         left = None if version_of(path) else recover(path)
@@ -151,10 +162,14 @@ def read_task(
     from pinposture.editor.files import first_task
 
     if suffix in (".urdf", ".xml", ".xacro") or version_of(Path(source)):
+        refuse_given({"--modules": modules}, "nothing: a description has its own; --split groups joints")
         arm = arm_options.read(source)
         name = Path(source).stem
     else:
-        arm, name = _templated(source, arm_options)
+        arm_options.refuse("nothing: a template has no links yet")
+        count = MODULES if modules is None else modules
+        arm = _templated(source, count)
+        name = f"{source.lower()}{count}"
     path = ((folder or Path()) / f"{name}.toml" if save_as is None else save_as).absolute()
     require_suffix(path, *SUFFIXES)
     if version_of(path):
@@ -164,20 +179,14 @@ def read_task(
     return first_task(arm, name), path
 
 
-def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
-    """Return an arm from a template, and its name."""
+def _templated(name: str, modules: int) -> Arm:
+    """Return an arm from a template."""
     from pinposture._validation import require_known
     from pinposture.arm import Arm
     from pinposture.arm.specification import MOST_MODULES_IN_FILE
     from pinposture.arm.template import TEMPLATES
 
-    require_known("task file, robot description or template", source, TEMPLATES)
-    modules = arm_options.modules
-    replace(arm_options, modules=None).refuse("nothing: a template has no links yet")
-    try:
-        count = MODULES if modules is None else int(modules)
-    except ValueError:
-        raise InvalidValue("--modules", modules, "a whole number of modules of the template") from None
-    if count > MOST_MODULES_IN_FILE:  # the limit of task files
-        raise InvalidValue("--modules", count, f"at most {MOST_MODULES_IN_FILE}")
-    return Arm.from_template(source, count), f"{source.lower()}{count}"
+    require_known("task file, robot description or template", name, TEMPLATES)
+    if modules > MOST_MODULES_IN_FILE:  # the limit of task files
+        raise InvalidValue("--modules", modules, f"at most {MOST_MODULES_IN_FILE}")
+    return Arm.from_template(name, modules)

@@ -84,7 +84,7 @@ class ArmOptions:
 
     base: Annotated[str | None, ARM("{arm.ArmSpec.base}", "LINK")] = None
     tip: Annotated[str | None, ARM("{arm.ArmSpec.tip}", "LINK")] = None
-    modules: Annotated[str | None, ARM("{arm.ArmSpec.split}", "N,...")] = None
+    split: Annotated[str | None, ARM("{arm.ArmSpec.split}", "N,...")] = None
     locked: Annotated[
         list[str] | None, ARM("{arm.ArmSpec.locked} elbow=0.5, elbow=30deg. May be repeated.", "NAME=VALUE")
     ] = None
@@ -121,7 +121,7 @@ class ArmOptions:
         """Load an arm as `Arm.load` does; "-" reads the URDF from stdin.
 
         Raises:
-            PostureError: as in `Arm.load` and `ArmSpec`; a template name; an empty field in `modules`.
+            PostureError: as in `Arm.load` and `ArmSpec`; a template name; an empty field in `split`.
         """
         from pinposture.arm import TEMPLATES, Arm, ArmSpec
         from pinposture.schema import read_field
@@ -150,7 +150,7 @@ class ArmOptions:
             source,
             base=self.base,
             tip=self.tip,
-            modules=None if self.modules is None else read_modules(self.modules),
+            split=None if self.split is None else read_split(self.split),
             locked=read_field(ArmSpec, "locked", locked),
             package_dirs=self.package_dir,
             couplings=read_field(ArmSpec, "couplings", couplings),
@@ -425,11 +425,11 @@ def read_numbers(name: str, text: str) -> list[float]:
         raise InvalidValue(name, text, "numbers separated by commas") from None
 
 
-def read_modules(text: str) -> int | list[int] | list[str]:
+def read_split(text: str) -> int | list[int] | list[str]:
     """Parse one or several numbers of joints, or link names; raise InvalidValue for an empty field."""
     fields = [field.strip() for field in text.split(",")]
     if not all(fields):
-        raise InvalidValue("--modules", text, "whole numbers or names of links, separated by commas")
+        raise InvalidValue("--split", text, "whole numbers or names of links, separated by commas")
     try:
         sizes = [int(field) for field in fields]
     except ValueError:

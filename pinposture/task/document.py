@@ -123,7 +123,7 @@ def read_arm(document: Document) -> Arm:
 def _key_of(error: PostureError, table: Mapping[str, Any]) -> str:
     """Return the key to which an error of `Arm.from_spec` refers; empty for the whole table."""
     if isinstance(error, InvalidValue):
-        key = "split" if error.name.startswith("modules") and "urdf" in table else error.name
+        key = "split" if error.name.startswith("split") else error.name
         if key in table:
             return key
     if isinstance(error, UnknownName):

@@ -214,18 +214,18 @@ def test_modules_of_our_templates_are_found_in_a_file() -> None:
         loaded = pp.Arm.load(made.urdf)
         assert loaded.module_joints == made.module_joints
         assert loaded.dimension == made.dimension
-    grouped = pp.Arm.load(made.urdf, modules=[3, 2, 2])
+    grouped = pp.Arm.load(made.urdf, split=[3, 2, 2])
     assert [len(joints) for joints in grouped.module_joints] == [3, 2, 2]
     with pytest.raises(InvalidValue, match="divisor of 7"):
-        pp.Arm.load(made.urdf, modules=3)
+        pp.Arm.load(made.urdf, split=3)
     with pytest.raises(InvalidValue, match="add up to 7"):
-        pp.Arm.load(made.urdf, modules=[3, 3])
+        pp.Arm.load(made.urdf, split=[3, 3])
 
 
 def test_locked_joints_leave_the_chain_where_they_were_locked() -> None:
     full = pp.Arm.from_template("RyRz", 3, (L1, L2))
     name = full.module_joints[1][0]
-    arm = pp.Arm.load(full.urdf, modules=[2, 1, 2], locked={name: 0.4})
+    arm = pp.Arm.load(full.urdf, split=[2, 1, 2], locked={name: 0.4})
     assert arm.nv == 5
     q = arm.random(np.random.default_rng(0))
     # The first module now ends where the next joint that moves sits, one link farther on.

@@ -241,9 +241,9 @@ def test_couplings_can_be_given():
     [
         ({"j9": "j1"}, UnknownName, "moving joint is called 'j9'"),
         ({"j3": "j9"}, URDFError, "'j3': mimics joint 'j9', which does not exist"),
-        ({"j3": ("j1", "much")}, InvalidValue, "couplings['j3']"),
-        ({"j3": ("j1", float("nan"))}, InvalidValue, "couplings['j3']"),
-        ({"j3": ()}, InvalidValue, "couplings['j3']"),
+        ({"j3": ("j1", "much")}, InvalidValue, "couplings.j3"),
+        ({"j3": ("j1", float("nan"))}, InvalidValue, "couplings.j3"),
+        ({"j3": ()}, InvalidValue, "couplings.j3"),
         ({"j3": "j4", "j4": "j3"}, URDFError, "in a cycle"),
         ({"j3": ("j1", 1.0, 7.0)}, URDFError, "leave no room for a common motion"),
     ],
@@ -279,7 +279,7 @@ def test_modules_do_not_cut_through_coupled_joints():
     assert loaded.segmentation.sizes == (4, 10, 6)
     assert loaded.segmentation.can_follow
     with pytest.raises(InvalidValue, match="between coupled joints"):
-        pp.Arm.load(arm.urdf, modules=[5, 9, 6])
+        pp.Arm.load(arm.urdf, split=[5, 9, 6])
 
 
 def test_every_posture_control_matrix_is_that_of_the_dense_jacobian():

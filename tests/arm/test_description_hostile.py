@@ -126,7 +126,7 @@ def test_chains_too_long_for_pinocchio_are_refused(joints: int, turning: int, me
 def test_long_chains_are_loaded_although_pinocchio_follows_them_by_recursion(
     joints: int, turning: int
 ) -> None:
-    arm = pp.Arm.load(long_chain(joints, turning), modules=min(turning, 2))
+    arm = pp.Arm.load(long_chain(joints, turning), split=min(turning, 2))
     assert arm.nv == turning
     assert arm.length == pytest.approx(0.01 * (joints - 1))
 

@@ -188,7 +188,7 @@ def test_a_module_with_fewer_joints_than_dimensions_is_flat_and_one_that_moves_n
 
 
 def test_a_slide_counts_in_the_units_of_the_arm():
-    arm = pp.Arm.load(SLIDING, modules=2)
+    arm = pp.Arm.load(SLIDING, split=2)
     for unit in (0.1, 2.0):
         (tip,) = arm.with_characteristic_length(unit).at([0.4, 0.3]).ellipsoids(0)
         assert tip.measure == pytest.approx(0.8 * unit)  # the turn moves it by 0.8 m/rad, across the slide

@@ -71,7 +71,7 @@ def test_their_power_is_the_change_of_energy(template: str) -> None:
 
 
 def test_a_lift_needs_its_weight_and_its_acceleration() -> None:
-    arm = pp.Arm.load(SLIDE, modules=1)
+    arm = pp.Arm.load(SLIDE, split=1)
     found = arm.inverse_dynamics([[0.0], [1.0], [2.0]], [[0.0], [3.0], [-1.0]], [[0.0], [2.0], [-9.81]])
     np.testing.assert_allclose(found[:, 0], [2.5 * 9.81, 2.5 * 11.81, 0.0], atol=1e-12)
 
@@ -91,7 +91,7 @@ def test_what_they_cannot_be_computed_for_is_named() -> None:
         arm.inverse_dynamics([arm.neutral()], rest[:, 1:], rest)
     with pytest.raises(InvalidValue, match="accelerations"):
         arm.inverse_dynamics([arm.neutral()], rest, rest * np.nan)
-    bare = pp.Arm.load(arm.urdf.replace("inertial", "ignored"), modules=2)
+    bare = pp.Arm.load(arm.urdf.replace("inertial", "ignored"), split=2)
     rest = np.zeros((1, bare.nv))
     with pytest.raises(WeightUnknown):
         bare.inverse_dynamics([bare.neutral()], rest, rest)

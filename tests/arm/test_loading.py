@@ -154,20 +154,20 @@ def test_the_tip_is_the_farthest_link_behind_the_last_joint_not_the_deepest():
 
 def test_modules_end_at_the_origins_of_the_links_that_are_named():
     full, _ = loaded(arm_text(pairs(3)))
-    arm, _ = loaded(arm_text(pairs(3)), modules=["l3", "l5", "tip"])
+    arm, _ = loaded(arm_text(pairs(3)), split=["l3", "l5", "tip"])
     assert arm.module_joints == full.module_joints
     q = full.random(np.random.default_rng(0))
     np.testing.assert_allclose(arm.at(q).points, full.at(q).points, atol=1e-13)
     np.testing.assert_allclose(arm.at(q).jacobians, full.at(q).jacobians, atol=1e-13)
     mark = links(["mark"]) + fixed("jm", "l2", "mark", "0.03 0 0.02")
-    arm, _ = loaded(arm_text(pairs(3), extra=mark), modules=["mark", "tip"])
+    arm, _ = loaded(arm_text(pairs(3), extra=mark), split=["mark", "tip"])
     assert [len(names) for names in arm.module_joints] == [2, 4]
     np.testing.assert_allclose(arm.chain.points[0], [0.23, 0.0, 0.02], atol=1e-13)
 
 
 def test_a_sliding_link_is_moved_by_its_own_joint():
     joints = [("revolute", Y, LINK), ("prismatic", X_AXIS, LINK), ("revolute", Z, LINK)]
-    arm, _ = loaded(arm_text(joints), modules=["l2", "tip"])
+    arm, _ = loaded(arm_text(joints), split=["l2", "tip"])
     assert [len(names) for names in arm.module_joints] == [2, 1]
     assert np.any(arm.at(arm.neutral()).jacobians[0][:, 1])
 

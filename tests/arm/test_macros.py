@@ -162,7 +162,7 @@ def test_what_arguments_miss_is_said_with_the_next_step(parametric: Path, tmp_pa
     refused(URDFError, "no links", "with_arm:=false", "--xacro-arg NAME:=VALUE", xacro_args=hidden)
     refused(UnknownName, "pitsch", "did you mean 'pitch'?", xacro_args={"pitch": 1, "pitsch": 2})
     refused(InvalidValue, "xacro_args", xacro_args=["pitch"])
-    refused(InvalidValue, "xacro_args['pitch']", xacro_args={"pitch": [1.0]})
+    refused(InvalidValue, "xacro_args.pitch", xacro_args={"pitch": [1.0]})
     plain = pp.Arm.from_template("RyRz", 2).urdf
     refused(InvalidValue, "xacro_args", "not xacro", source=plain, xacro_args={"pitch": 1})
     only_macros = tmp_path / "macros.xacro"

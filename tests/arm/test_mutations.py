@@ -141,7 +141,7 @@ ARGUMENTS = st.fixed_dictionaries(
     optional={
         "tip": st.sampled_from(["tip", "l2", "f1", "b2", "nowhere"]),
         "base": st.sampled_from(["l0", "l1", "base"]),
-        "modules": st.sampled_from([1, 2, 3, [2, 2], ["l2", "tip"], "tip"]),
+        "split": st.sampled_from([1, 2, 3, [2, 2], ["l2", "tip"], "tip"]),
         "locked": st.sampled_from([{"j1": 0.5}, {"free": 0.0}, {"j2": 1e300}]),
     },
 )

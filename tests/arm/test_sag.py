@@ -97,7 +97,7 @@ def test_a_pendulum_sags_until_its_spring_balances_its_weight(stiffness: float, 
 
 
 def test_a_slide_sags_by_its_weight_over_its_stiffness() -> None:
-    arm = pp.Arm.load(pendulum("prismatic", "0 0 1"), modules=1).with_stiffness("5 N/mm")
+    arm = pp.Arm.load(pendulum("prismatic", "0 0 1"), split=1).with_stiffness("5 N/mm")
     np.testing.assert_allclose(arm.sag([0.2]), 0.2 - 2.0 * G / 5e3, atol=1e-14)
     np.testing.assert_allclose(arm.compensate([0.2]), 0.2 + 2.0 * G / 5e3, atol=1e-14)
 
@@ -262,7 +262,7 @@ def test_the_stiffness_of_a_drive_counts_at_its_leader_by_virtual_work() -> None
         )
     parts.append('<link name="tip"/><joint name="e" type="fixed"><parent link="l2"/><child link="tip"/>')
     parts.append('<origin xyz="0.2 0 0"/></joint>')
-    arm = pp.Arm.load(f'<robot name="made">{"".join(parts)}</robot>', modules=2)
+    arm = pp.Arm.load(f'<robot name="made">{"".join(parts)}</robot>', split=2)
     assert arm.joint_names == ("a",)
     assert arm.with_stiffness(10.0).stiffness.tolist() == [[40.0]]
     assert arm.with_stiffness({"b": 10.0}).stiffness.tolist() == [[40.0]]

@@ -227,7 +227,7 @@ def test_the_reason_names_the_pattern_and_the_exception():
     odd = [(TURN, Y, LINK), (TURN, X, SHORT), (TURN, Z, LONG), (TURN, Y, OFFSET), (TURN, Z, LINK)]
     assert "no pattern" in load(odd).segmentation.reason
     assert (
-        pp.Arm.load(arm_text(pairs(4)), modules=4).segmentation.reason == "4 joints for each module, as given"
+        pp.Arm.load(arm_text(pairs(4)), split=4).segmentation.reason == "4 joints for each module, as given"
     )
 
 

@@ -107,11 +107,11 @@ def test_followers_keep_their_soft_limits() -> None:
     text = arm(
         f"revolute|{WIDE}|{soft(lower=-1, upper=1)}", f"revolute|{WIDE}|{mimic}{soft(lower=-1, upper=0.5)}"
     )
-    loaded = pp.Arm.load(text, modules=[2])
+    loaded = pp.Arm.load(text, split=[2])
     assert loaded.nv == 1
     # -1 <= 0.1 - 2 x <= 0.5, and -1 <= x <= 1
     np.testing.assert_allclose([loaded.limits.lower[0], loaded.limits.upper[0]], [-0.2, 0.55])
-    by_hand = pp.Arm.load(text.replace(mimic, ""), couplings={"j2": ("j1", -2.0, 0.1)}, modules=[2])
+    by_hand = pp.Arm.load(text.replace(mimic, ""), couplings={"j2": ("j1", -2.0, 0.1)}, split=[2])
     np.testing.assert_allclose(by_hand.limits.lower, loaded.limits.lower)
 
 

@@ -126,7 +126,7 @@ def test_an_arm_is_loaded_by_its_name(described, xacro: Path, mjcf: Path, tmp_pa
     file = tmp_path / "arm.urdf"
     file.write_text(pp.Arm.from_template("RyRz", 3).urdf)
     described(URDF_PATH=str(file))
-    arm = pp.Arm.load("snake_description", modules=3)
+    arm = pp.Arm.load("snake_description", split=3)
     assert arm.segmentation.sizes == (3, 3)
     assert str(tmp_path / "package") in arm.package_dirs
     again = pp.Arm.from_spec(arm.spec)  # without the package

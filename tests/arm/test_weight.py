@@ -230,7 +230,7 @@ def test_a_cable_is_a_rod_on_each_link() -> None:
 
 
 def test_a_cable_begins_and_ends_at_control_points() -> None:
-    arm = pp.Arm.load(snake(8), modules=2)
+    arm = pp.Arm.load(snake(8), split=2)
     level = np.zeros(8)
 
     def added(start, end) -> np.ndarray:
@@ -439,7 +439,7 @@ def test_impossible_numbers_are_named() -> None:
 
 
 def carrying() -> pp.Arm:
-    arm = pp.Arm.load(snake(4), modules=1)
+    arm = pp.Arm.load(snake(4), split=1)
     loaded = arm.with_payload(0.2, (0.01, 0.02, 0.03), "l2", (1e-3, 1e-3, 1e-3, 1e-4, 0, 0)).with_payload(
         "300 g"
     )

@@ -80,7 +80,7 @@ def test_a_loaded_arm_and_the_files_that_are_left(command, arm_file, tmp_path):
         f"wrote {out / 'summary.json'}"
     ]
     again = study_postures(
-        [loaded_subject(pp.Arm.load(arm_file, modules=2))], ("joint", "lm"), 10, first_seed=4
+        [loaded_subject(pp.Arm.load(arm_file, split=2))], ("joint", "lm"), 10, first_seed=4
     ).rows()
     with (out / "cases.csv").open(newline="") as file:
         lines = [line | {"seconds": ""} for line in csv.DictReader(file)]

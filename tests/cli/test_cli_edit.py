@@ -29,8 +29,8 @@ def in_a_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def begin(source, base=None, tip=None, modules=None, save_as=None, folder=None):
-    return read_task(source, ArmOptions(base, tip, modules), save_as, folder)
+def begin(source, split=None, tip=None, modules=None, save_as=None, folder=None):
+    return read_task(source, ArmOptions(tip=tip, split=split), save_as, folder, modules)
 
 
 def test_a_template_begins_with_two_shapes_that_the_arm_can_take(tmp_path):
@@ -46,7 +46,7 @@ def test_a_template_begins_with_two_shapes_that_the_arm_can_take(tmp_path):
 @pytest.mark.parametrize("count", [1, 2, 7])
 @pytest.mark.filterwarnings("ignore:the arm does not follow the curve")
 def test_every_template_can_be_begun_with(name, count):
-    task, _ = begin(name, None, None, str(count), None)
+    task, _ = begin(name, None, None, count, None)
     assert task.arm.n_modules == count
     verdicts = [judge(task.arm, keyframe, None) for keyframe in task.motion]
     assert all(verdict.target is not None for verdict in verdicts)
@@ -55,7 +55,7 @@ def test_every_template_can_be_begun_with(name, count):
 def test_an_urdf_file_is_named_in_the_task_file(tmp_path):
     arm = pp.Arm.from_template("RyRz", 6)
     (tmp_path / "snake.urdf").write_text(arm.urdf)
-    task, path = begin("snake.urdf", None, None, "2", None)
+    task, path = begin("snake.urdf", "2")
     assert path == tmp_path / "snake.toml"
     task.save(path)
     assert 'urdf = "snake.urdf"' in path.read_text()
@@ -65,7 +65,7 @@ def test_an_urdf_file_is_named_in_the_task_file(tmp_path):
 
 
 def test_a_task_file_is_edited_as_it_is(tmp_path):
-    task, path = begin("RyRz", None, None, "4", tmp_path / "own.toml")
+    task, path = begin("RyRz", None, None, 4, tmp_path / "own.toml")
     task.save(path)
     again, same = begin("own.toml", None, None, None, None)
     assert same == path
@@ -73,7 +73,7 @@ def test_a_task_file_is_edited_as_it_is(tmp_path):
 
 
 def test_what_was_never_saved_goes_on_from_what_was_kept(tmp_path):
-    task, path = begin("RyRz", None, None, "4", None)
+    task, path = begin("RyRz", None, None, 4, None)
     task.edited(name="kept").save(autosave_path(path))
     again, same = begin("ryrz4.toml", None, None, None, None)
     assert (again.name, same) == ("kept", path)
@@ -86,17 +86,17 @@ def test_what_was_never_saved_goes_on_from_what_was_kept(tmp_path):
         (("nothing.toml", None, None, None, None), FileError, "no such file"),
         (("nothing.urdf", None, None, None, None), FileError, "nothing.urdf"),
         (("RyRx", None, None, None, None), UnknownName, "did you mean 'RyRz'"),
-        (("RyRz", None, None, "batch", None), InvalidValue, "--modules"),
-        (("RyRz", None, None, "1001", None), InvalidValue, "--modules is 1001; allowed: at most 1000"),
+        (("RyRz", None, None, 1001, None), InvalidValue, "--modules is 1001; allowed: at most 1000"),
         (("n" * 300 + ".toml", None, None, None, None), FileError, "cannot be read"),
+        (("there.toml", "3", None, None, None), InvalidValue, "the task file defines it"),
         (("RyRz", None, "hand", None, None), InvalidValue, "--tip"),
-        (("there.toml", None, None, "3", None), InvalidValue, "the task file defines it"),
+        (("there.toml", None, None, 3, None), InvalidValue, "the task file defines it"),
         (("RyRz", None, None, None, "there.toml"), FileError, "exists already"),
         (("RyRz", None, None, None, "new.csv"), FileError, "the name ends in '.csv'; allowed: .toml, .json"),
     ],
 )
 def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_path):
-    begin("RyRz", None, None, "3", None)[0].save(tmp_path / "there.toml")
+    begin("RyRz", None, None, 3, None)[0].save(tmp_path / "there.toml")
     *others, save_as = arguments
     with pytest.raises(kind, match=re.escape(words)):
         begin(*others, None if save_as is None else tmp_path / save_as)
@@ -197,4 +197,4 @@ def edited(folder, *options):
 
 
 def test_a_new_task_is_in_the_folder_that_is_given(tmp_path):
-    assert begin("RyRz", None, None, "4", None, Path("sub"))[1] == tmp_path / "sub" / "ryrz4.toml"
+    assert begin("RyRz", None, None, 4, None, Path("sub"))[1] == tmp_path / "sub" / "ryrz4.toml"

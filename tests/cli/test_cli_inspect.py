@@ -78,7 +78,7 @@ def test_kinds_units_and_absent_limits_are_told_apart(command):
 
 
 def test_base_tip_and_modules_choose_the_chain(command, arm_file):
-    options = ("--base", "m02_l2", "--tip", "tip", "--modules", "3,5")
+    options = ("--base", "m02_l2", "--tip", "tip", "--split", "3,5")
     about = json.loads(command("inspect", arm_file, *options, "--json").out)
     assert [joint["name"][:3] for joint in about["joints"]] == [f"m0{m}" for m in (3, 3, 4, 4, 5, 5, 6, 6)]
     assert [joint["module"] for joint in about["joints"]] == [1] * 3 + [2] * 5
@@ -110,7 +110,7 @@ def test_reach_is_the_farthest_that_the_tip_gets_from_the_base(command):
 
 def test_it_says_why_the_modules_were_cut_so(command, arm_file):
     arm = pp.Arm.load(arm_file)
-    for options, expected in (((), arm), (("--modules", 4), pp.Arm.load(arm_file, modules=4))):
+    for options, expected in (((), arm), (("--split", 4), pp.Arm.load(arm_file, split=4))):
         assert json.loads(command("inspect", arm_file, *options, "--json").out)["modules_reason"] == (
             expected.segmentation.reason
         )
@@ -121,7 +121,7 @@ def test_it_says_which_module_has_no_closed_form_kinematics(command, arm_file):
     about = json.loads(command("inspect", arm_file, "--json").out)
     assert (about["closed_form"], about["closed_form_reason"]) == (True, "")
     assert "closed form for every module" in command("inspect", arm_file).out
-    options = ("--modules", "2,2,4,4")
+    options = ("--split", "2,2,4,4")
     about = json.loads(command("inspect", arm_file, *options, "--json").out)
     assert about["closed_form"] is False
     assert about["kinematics"] == ["Torus", "Torus", "NumericModule", "NumericModule"]
@@ -131,16 +131,16 @@ def test_it_says_which_module_has_no_closed_form_kinematics(command, arm_file):
 
 
 def test_modules_end_at_links_that_are_named(command, arm_file):
-    options = ("--modules", "m02_l2, m03_l2,tip")
+    options = ("--split", "m02_l2, m03_l2,tip")
     about = json.loads(command("inspect", arm_file, *options, "--json").out)
-    arm = pp.Arm.load(arm_file, modules=["m02_l2", "m03_l2", "tip"])
+    arm = pp.Arm.load(arm_file, split=["m02_l2", "m03_l2", "tip"])
     assert arm.n_modules == 3
     assert [joint["module"] for joint in about["joints"]] == [
         k for k, names in enumerate(arm.module_joints, start=1) for _ in names
     ]
     places = [point["position"] for point in about["control_points"]]
     np.testing.assert_allclose(places, arm.at(arm.neutral()).points, atol=1e-12)
-    one = json.loads(command("inspect", arm_file, "--modules", "m03_l2", "--json").out)
+    one = json.loads(command("inspect", arm_file, "--split", "m03_l2", "--json").out)
     assert (one["tip"], one["modules"], one["dof"]) == ("m03_l2", 1, 6)
 
 
@@ -186,7 +186,7 @@ def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch
         return real(arm, ellipsoids=ellipsoids, scene=scene)
 
     monkeypatch.setattr("pinposture.viz.plot_arm", plot_arm)
-    command("inspect", arm_file, "--modules", 4, "--plot", tmp_path / "arm.png")
+    command("inspect", arm_file, "--split", 4, "--plot", tmp_path / "arm.png")
     command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "2,6")
     command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "all")
     (tmp_path / "scene.toml").write_text(
@@ -230,7 +230,7 @@ def test_it_tells_how_near_a_singularity_the_tip_is(command, arm_file):
 
 
 def test_it_tells_so_of_the_points_that_are_asked_for_in_the_table_and_in_the_json(command):
-    options = ("--modules", 1, "--ellipsoids", "3, 2")
+    options = ("--split", 1, "--ellipsoids", "3, 2")
     told = json.loads(command("inspect", "-", *options, "--json", input=bent(3)).out)["manipulability"]
     assert [one["module"] for one in told] == [3, 2]
     assert told[1]["measure"] == pytest.approx(0.01)
@@ -313,7 +313,7 @@ def test_it_tells_how_far_the_arm_is_held_out(command, arm_file):
     assert about["joints_without_effort"] == joints
     assert "not known: no torque limits of m01_j1_y" in " ".join(command("inspect", arm_file).out.split())
     weak = text.replace('effort="0.0"', 'effort="0.1"')
-    arm = pp.Arm.load(weak, modules=2)
+    arm = pp.Arm.load(weak, split=2)
     found = arm.held_out()
     told = json.loads(command("inspect", "-", "--json", input=weak).out)["weight"]
     assert told["held_out"]["length"] == found.length < arm.length

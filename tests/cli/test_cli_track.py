@@ -170,9 +170,9 @@ def test_the_largest_residual_is_that_of_the_points_that_have_a_place(command, a
 
 @pytest.mark.usefixtures("no_pictures")
 def test_modules_end_at_links_that_are_named(command, arm_file, tmp_path):
-    track(command, arm_file, "--modules", "m02_l2,m04_l2,tip", "--steps", 1, "-o", tmp_path)
+    track(command, arm_file, "--split", "m02_l2,m04_l2,tip", "--steps", 1, "-o", tmp_path)
     run = pp.load(tmp_path / "run.npz", pp.Run)
-    named = pp.Arm.load(arm_file, modules=["m02_l2", "m04_l2", "tip"])
+    named = pp.Arm.load(arm_file, split=["m02_l2", "m04_l2", "tip"])
     assert run.arm.module_joints == named.module_joints
     assert run.arm.n_modules == 3
 

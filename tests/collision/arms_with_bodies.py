@@ -80,7 +80,7 @@ def described(collisions, length=0.2, base="", slides=()):
 def single(shape, xyz="0.5 0 0", rpy="0 0 0"):
     """An arm with one solid, on its second link, whose frame is the world's at zero positions."""
     text = described(["", geometry(shape, xyz, rpy)]).replace('xyz="0.2 0 0"/><axis', 'xyz="0 0 0"/><axis')
-    return pp.Arm.load(text, modules=2)
+    return pp.Arm.load(text, split=2)
 
 
 CYLINDER = geometry('<cylinder radius="0.03" length="0.16"/>', "0.1 0 0", "0 1.5707963267948966 0")
@@ -91,7 +91,7 @@ ARMS = {
     "planar": planar,
     "sliding": sliding,
     "modelled": modelled,
-    "described": lambda: pp.Arm.load(described([CYLINDER, BLOCK] * 3), modules=2),
+    "described": lambda: pp.Arm.load(described([CYLINDER, BLOCK] * 3), split=2),
     "coupled": lambda: pp.Arm.load(described([CYLINDER, BLOCK] * 3), couplings=RATIOS),
     "sections": lambda: pp.Arm.from_modules([continuum_section(4, 0.3, stretch=0.1)] * 2),
 }

@@ -30,7 +30,7 @@ def hulls(folder):
     wedge = trimesh.Trimesh([[0, 0, 0], [0.15, 0, 0], [0.1, 0.06, 0], [0.05, 0.01, 0.05], [0.12, 0, -0.04]])
     wedge.convex_hull.export(folder / "wedge.stl")
     text = described([geometry(f'<mesh filename="{folder / "wedge.stl"}"/>'), BALL] * 3)
-    return pp.Arm.load(text, modules=2)
+    return pp.Arm.load(text, split=2)
 
 
 @pytest.fixture(params=[*ARMS, "hulls"])

@@ -114,10 +114,10 @@ def test_an_arm_without_geometry_has_stand_ins_of_usual_thickness():
     arm = modelled()
     radius = STAND_IN_RADIUS * arm.chain.module_lengths.mean()
     assert {body.shape.radius for body in bodies_of(arm)} == {radius}
-    bare = pp.Arm.load(described([""] * 4), modules=2)
+    bare = pp.Arm.load(described([""] * 4), split=2)
     assert {type(body.shape) for body in bodies_of(bare)} == {Capsule}
     # Geometry of the base alone does not mean that all the rest is thin air.
-    based = pp.Arm.load(described([""] * 4, base=geometry('<sphere radius="0.1"/>')), modules=2)
+    based = pp.Arm.load(described([""] * 4, base=geometry('<sphere radius="0.1"/>')), split=2)
     assert [body.joint for body in bodies_of(based)] == [0, 1, 2, 3, 4]
 
 
@@ -125,7 +125,7 @@ def test_every_kind_of_geometry_is_read_where_its_link_is():
     shapes = ['<box size="1 2 3"/>', '<sphere radius="0.1"/>', '<cylinder radius="0.1" length="0.4"/>']
     shapes.append('<capsule radius="0.1" length="0.4"/>')
     text = described([geometry(shape, "0.1 0.2 0.3", "0 1.5707963267948966 0") for shape in shapes])
-    arm = pp.Arm.load(text, modules=2, base_placement=PLACED)
+    arm = pp.Arm.load(text, split=2, base_placement=PLACED)
     box, ball, tube, rounded = bodies_of(arm)
     turn = pin.rpy.rpyToMatrix(0, np.pi / 2, 0)
     assert box.shape == Box((0.1, 0.2, 0.3), (1, 2, 3), turn)
@@ -140,7 +140,7 @@ def test_every_kind_of_geometry_is_read_where_its_link_is():
 
 def test_the_base_stands_where_the_base_placement_puts_it():
     ball = geometry('<sphere radius="0.1"/>', "0.1 0 0")
-    arm = pp.Arm.load(described([ball, ball], base=ball), modules=2, base_placement=PLACED)
+    arm = pp.Arm.load(described([ball, ball], base=ball), split=2, base_placement=PLACED)
     base = bodies_of(arm)[0]
     assert base.joint == 0
     np.testing.assert_allclose(base.shape.center, PLACED.act(np.array([0.1, 0, 0])), atol=1e-12)
@@ -148,7 +148,7 @@ def test_the_base_stands_where_the_base_placement_puts_it():
 
 def test_links_held_still_move_with_the_joint_before():
     ball = geometry('<sphere radius="0.02"/>', "0.1 0 0")
-    arm = pp.Arm.load(described([ball] * 3), modules=2, locked={"j3": 0.5})
+    arm = pp.Arm.load(described([ball] * 3), split=2, locked={"j3": 0.5})
     assert [body.joint for body in bodies_of(arm)] == [1, 2, 2]
     turn = pin.rpy.rpyToMatrix(0, 0.5, 0)
     np.testing.assert_allclose(bodies_of(arm)[2].shape.center, [0.2, 0, 0] + turn @ [0.1, 0, 0], atol=1e-12)
@@ -163,7 +163,7 @@ def test_meshes_become_hulls_and_missing_ones_capsules(tmp_path):
     links = [geometry(MESH.format(name), "0.1 0 0") for name in ("there.stl", "gone.stl", "broken.stl")]
     links.append(geometry('<cylinder radius="-1" length="1"/>'))
     (tmp_path / "arm.urdf").write_text(described(links))
-    arm = pp.Arm.load(tmp_path / "arm.urdf", modules=2)
+    arm = pp.Arm.load(tmp_path / "arm.urdf", split=2)
     with pytest.warns(PostureWarning) as caught:
         bodies = bodies_of(arm)
     message = str(caught[0].message)
@@ -183,7 +183,7 @@ def test_meshes_of_links_in_millimetres_are_named(tmp_path):
     trimesh.creation.box((100, 40, 20)).export(tmp_path / "link.stl")
     links = [geometry(f'<mesh filename="link.stl"{scale}/>') for scale in (' scale="1e-3 1e-3 1e-3"', "")]
     (tmp_path / "arm.urdf").write_text(described(links))
-    arm = pp.Arm.load(tmp_path / "arm.urdf", modules=2)
+    arm = pp.Arm.load(tmp_path / "arm.urdf", split=2)
     words = r"mesh of link 'l2' is 100 m wide, 250 times as long as the arm; .* <mesh scale"
     with pytest.warns(PostureWarning, match=words) as caught:
         bodies_of(arm)
@@ -194,7 +194,7 @@ def test_meshes_of_links_in_millimetres_are_named(tmp_path):
     "shape", ["", "<cone/>", '<box size="1 2"/>', '<sphere radius="x"/>', "<sphere/>", "<mesh/>"]
 )
 def test_geometry_that_makes_no_solid_is_named(shape):
-    arm = pp.Arm.load(described([geometry(shape), geometry('<sphere radius="0.1"/>')]), modules=2)
+    arm = pp.Arm.load(described([geometry(shape), geometry('<sphere radius="0.1"/>')]), split=2)
     with pytest.warns(PostureWarning, match="link 'l1'"):
         bodies = bodies_of(arm)
     assert [type(body.shape) for body in bodies] == [Capsule, Sphere]

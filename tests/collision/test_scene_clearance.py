@@ -171,7 +171,7 @@ def test_bodies_that_touch_where_the_arm_is_straight_are_named():
 
 def test_tubes_that_slide_in_one_another_may():
     tube = geometry('<box size="0.2 0.05 0.05"/>')
-    arm = pp.Arm.load(described(["", tube, tube, tube], 0.01, slides=(3, 4)), modules=4)
+    arm = pp.Arm.load(described(["", tube, tube, tube], 0.01, slides=(3, 4)), split=4)
     clearance = CollisionModel(arm, Scene(self_collision=True))
     assert [(each.first, each.second) for each in clearance.excluded_pairs] == [("l4", "l2")]
     assert clearance.minimum(arm.neutral()).distance > 0.0

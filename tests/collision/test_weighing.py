@@ -49,7 +49,7 @@ def arm_of(*inside: str) -> pp.Arm:
         )
     )
     links = f'<link name="l0"/><link name="l1">{"".join(inside)}</link><link name="l2">{mass}</link>'
-    return pp.Arm.load(f'<robot name="r">{links}<link name="tip"/>{joints}</robot>', modules=1)
+    return pp.Arm.load(f'<robot name="r">{links}<link name="tip"/>{joints}</robot>', split=1)
 
 
 def shape(geometry: str, tag: str = "collision", xyz: str = "0.1 0.02 -0.03", rpy: str = "0.3 0.2 -1") -> str:

@@ -35,7 +35,7 @@ ARMS = {
     "spatial": lambda: pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.3)] * 4),
     "planar": lambda: pp.Arm.from_template("Rz", 6),
     "sliding": lambda: pp.Arm.from_modules([SLIDING] * 3),
-    "loaded": lambda: pp.Arm.load(LOADED, modules=[2, 2]),
+    "loaded": lambda: pp.Arm.load(LOADED, split=[2, 2]),
 }
 ALLOWED = 1e-9
 

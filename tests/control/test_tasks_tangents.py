@@ -247,8 +247,8 @@ def test_links_of_a_file_come_from_the_joint_before_the_control_point(name: str)
 
 def test_links_do_not_depend_on_the_frames_of_a_file() -> None:
     made = arm_called("spatial")
-    plain = pp.Arm.load(made.urdf, modules=2)
-    turned = pp.Arm.load(turned_frames(made.urdf, np.random.default_rng(5)), modules=2)
+    plain = pp.Arm.load(made.urdf, split=2)
+    turned = pp.Arm.load(turned_frames(made.urdf, np.random.default_rng(5)), split=2)
     points = np.arange(4)
     for seed in range(3):
         q = plain.random(np.random.default_rng(seed))

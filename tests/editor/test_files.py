@@ -62,7 +62,7 @@ def of_no_template() -> pp.Arm:
     """An arm that is written beside a task."""
     urdf = six_modules().urdf
     assert urdf is not None
-    return pp.Arm.load(urdf.replace("RyRz_6", "snake"), modules=2)
+    return pp.Arm.load(urdf.replace("RyRz_6", "snake"), split=2)
 
 
 def name_in(task: Task) -> str:

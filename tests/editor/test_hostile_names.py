@@ -86,7 +86,7 @@ def hostile_arm() -> pp.Arm:
     written = escape(HOSTILE)
     for kind in ("link", "joint", "robot"):
         urdf = re.sub(rf'<{kind} name="', f'<{kind} name="{written}', urdf)
-    arm = pp.Arm.load(re.sub(r'(?<= link=")', written, urdf), modules=2)
+    arm = pp.Arm.load(re.sub(r'(?<= link=")', written, urdf), split=2)
     assert all(name.startswith(HOSTILE) for name in (arm.model.name, *list(arm.model.names)[1:]))
     return arm
 

@@ -26,7 +26,7 @@ def endless() -> pp.Arm:
     """8 joints without limits, each one number."""
     text = template_arm("RyRz", 4).urdf.replace('lower="-3.141592653589793" upper="3.141592653589793"', "")
     with pytest.warns(pp.PostureWarning, match="treated as unlimited"):
-        return pp.Arm.load(text, modules=2)
+        return pp.Arm.load(text, split=2)
 
 
 def ways_in(arm: pp.Arm, q: object) -> list:

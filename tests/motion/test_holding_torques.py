@@ -73,7 +73,7 @@ def test_a_run_that_motors_hold_says_how_near_they_are() -> None:
 def test_nothing_is_said_where_masses_or_limits_are_not_known(unknown: str) -> None:
     arm = template_arm("RyRz", 4)
     if unknown == "masses":
-        arm = pp.Arm.load(arm.urdf.replace("inertial", "ignored"), modules=2).with_effort(1e-6)
+        arm = pp.Arm.load(arm.urdf.replace("inertial", "ignored"), split=2).with_effort(1e-6)
     run = run_to_straight(arm)
     assert run.faults == ()
     assert run.summary()["holding_torque"] is None

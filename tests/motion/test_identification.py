@@ -300,7 +300,7 @@ def test_of_coupled_joints_the_driven_one_is_read() -> None:
         <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
       <joint name="end" type="fixed"><parent link="l2"/><child link="tip"/><origin xyz="0.1 0 0"/></joint>
     </robot>"""
-    arm = pp.Arm.load(text, modules=2)
+    arm = pp.Arm.load(text, split=2)
     assert arm.joint_names == ("j1",) and arm.drives.names == ("j2",)
     log = log_of()
     one = (log.command_time, log.commands[:, :1], log.time, log.positions[:, :1])

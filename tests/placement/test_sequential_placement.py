@@ -256,7 +256,7 @@ def test_registered_kinematics_cut_loaded_arms_into_modules(registered: Callable
     assert sizes != [12]
     target = pp.resolve_targets(arm, gentle(arm), placement="align")
     assert target.residual.max() < 1e-5
-    given = pp.Arm.load(text, modules=[3, 2, 2, 2, 3])
+    given = pp.Arm.load(text, split=[3, 2, 2, 2, 3])
     assert [len(joints) for joints in given.module_joints] == [3, 2, 2, 2, 3]
 
 

@@ -91,7 +91,7 @@ def test_an_arm_that_only_bears_the_name_of_a_template_is_not_taken_for_one(tmp_
         pp.Arm.from_modules([pp.template("RzRy")] * 2, name="RyRz_2"),
         pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_3"),
         pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_0"),
-        pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, modules=4),
+        pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, split=4),
     ]
     with pytest.warns(PostureWarning, match="1 joint off the chain"):
         arms.append(pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, tip="m02_l1"))
@@ -211,7 +211,7 @@ def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
     file = tmp_path / "robots" / "~arm 1.urdf"
     file.write_text(arm_text(pairs(3)))
     with pytest.warns(PostureWarning, match="2 joints off the chain"):
-        arm = pp.Arm.load(file, modules=3, locked={"j1": np.pi / 4}, tip="l4")
+        arm = pp.Arm.load(file, split=3, locked={"j1": np.pi / 4}, tip="l4")
     table = {"urdf": file, "split": 3, "locked": {"j1": np.pi / 4}, "tip": "l4"}
     again, written = saved(arm, tmp_path / "tasks" / "task.toml")
     assert written == {**table, "urdf": "../robots/~arm 1.urdf"}
@@ -224,7 +224,7 @@ def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
 def test_a_file_that_is_gone_is_told_and_not_named(tmp_path: Path) -> None:
     file = tmp_path / "snake.urdf"
     file.write_text(arm_text(pairs(3)))
-    arm = pp.Arm.load(file, modules=3)
+    arm = pp.Arm.load(file, split=3)
     file.unlink()
     with pytest.warns(PostureWarning, match=r"arm was 'snake.urdf', but no such file; it is written out"):
         again, written = saved(arm, tmp_path / "task.toml")
@@ -237,8 +237,8 @@ def test_a_file_that_is_gone_is_told_and_not_named(tmp_path: Path) -> None:
     [
         lambda: pp.Arm.from_template("RyRz", 3, (0.1, 0.2)),
         lambda: pp.Arm.from_modules([pp.template("RyRz"), pp.template("Rz")]),
-        lambda: pp.Arm.load(arm_text(pairs(3)), modules=[2, 4], locked={}),
-        lambda: pp.Arm.load(arm_text(pairs(3)), modules=["l2", "tip"]),
+        lambda: pp.Arm.load(arm_text(pairs(3)), split=[2, 4], locked={}),
+        lambda: pp.Arm.load(arm_text(pairs(3)), split=["l2", "tip"]),
         lambda: pp.Arm.from_template("Rz", 2).with_characteristic_length(0.3),
     ],
 )

@@ -108,7 +108,7 @@ def test_joints_that_turn_the_other_way_bend_the_arm_as_far():
     text = parts[0]
     for k, part in enumerate(parts[1:]):
         text += ('<axis xyz="0 0 -1"' if k % 2 else '<axis xyz="0 0 1"') + part
-    arm = pp.Arm.load(text, modules=1)
+    arm = pp.Arm.load(text, split=1)
     q = bent_configuration(arm, np.random.default_rng(1), 0.8)
     points = np.vstack([np.zeros(3), arm.at(q).points])
     links = np.diff(points, axis=0)

@@ -38,7 +38,7 @@ def sliding(axes: list[str], kinds: list[str]) -> pp.Arm:
         text += f'<parent link="{links[k]}"/><child link="{links[k + 1]}"/>'
         text += '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
     links_text = "".join(f'<link name="{name}"/>' for name in links)
-    return pp.Arm.load(f'<robot name="r">{links_text}{text}</robot>', modules=1)
+    return pp.Arm.load(f'<robot name="r">{links_text}{text}</robot>', split=1)
 
 
 def flat_points(figure: Figure, label: str) -> np.ndarray:

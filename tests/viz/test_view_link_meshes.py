@@ -66,7 +66,7 @@ def robot(tmp_path):
     def load(text: str = "", **options) -> Arm:
         path = tmp_path / "robot/urdf/two.urdf"
         path.write_text(text or urdf())
-        return Arm.load(path, tip="tool", modules=1, base_placement=TILTED, **options)
+        return Arm.load(path, tip="tool", split=1, base_placement=TILTED, **options)
 
     return load
 

@@ -56,7 +56,7 @@ def test_a_door_is_opened_in_the_shortest_time(angle: float) -> None:
 @pytest.mark.parametrize("distance", (0.5, -0.5))
 def test_a_lift_rises_and_sinks_in_the_shortest_time(distance: float) -> None:
     """It brakes with gravity as it rises, and against it as it sinks."""
-    arm = pp.Arm.load(SLIDE, modules=1)
+    arm = pp.Arm.load(SLIDE, split=1)
     timed = timed_between(arm, [0.0], [distance], pp.Limits(step=None, velocity=100.0, dt=1e-3))
     least = EFFORT_SHARE * 40.0 / 2.5 - 9.81
     most = EFFORT_SHARE * 40.0 / 2.5 + 9.81
