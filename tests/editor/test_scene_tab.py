@@ -166,14 +166,15 @@ def test_a_drag_moves_by_as_much_as_the_mouse_and_is_one_step(arm, live, server,
     drawing.show(session, live)
     grip = np.array(BALL.center) + (0.0, -0.05, 0.0)
     states = len(session.history._states)
+    (dragged,) = [each.callback for each in drawing._drawn["ball"].handle._impl.drag_cb]
     for phase, by in (("start", 0.0), ("update", 0.01), ("update", 0.02), ("end", 0.03)):
         end = grip + np.array([by, 0.0, 0.0])
-        asyncio.run(drawing._on_drag("ball", event(phase=phase, start_position=grip, end_position=end)))
+        asyncio.run(dragged(event(phase=phase, start_position=grip, end_position=end)))
         drawing.show(session, live)
         np.testing.assert_allclose(drawing._drawn["ball"].handle.position, BALL.center + np.array([by, 0, 0]))
     assert len(session.history._states) == states + 1
     assert obstacles_of(session.task)["ball"].center == pytest.approx((0.33, 0.2, 0.1))
-    assert not drawing._grabbed
+    assert not dragged.__self__.held
 
 
 def test_axes_move_and_turn_in_one_step(arm, live, server, desk):
@@ -184,7 +185,7 @@ def test_axes_move_and_turn_in_one_step(arm, live, server, desk):
     drawing._axes.position = (0.1, 0.4, 0.25)
     drawing._axes.wxyz = np.sqrt([0.5, 0.5, 0, 0])  # by a quarter about x: the axis goes to -y
     for phase in ("start", "update", "end"):
-        asyncio.run(drawing._on_axes(event(phase=phase)))
+        asyncio.run(drawing._axes_drag.by_axes(event(phase=phase)))
     rod = obstacles_of(session.task)["rod"]
     np.testing.assert_allclose([rod.start, rod.end], [(0.1, 0.55, 0.25), (0.1, 0.25, 0.25)], atol=1e-6)
     assert session.history.undoable == "moved rod"
@@ -198,8 +199,8 @@ def test_values_of_ours_at_the_axes_ask_for_nothing(arm, live, server, desk):
     select_obstacle("box", session)
     drawing.show(session, live)
     before = session.task
-    asyncio.run(drawing._on_axes(SimpleNamespace(client_id=None, phase="update")))
-    asyncio.run(drawing._on_axes(event(phase="update")))  # nobody has taken hold of them
+    asyncio.run(drawing._axes_drag.by_axes(SimpleNamespace(client_id=None, phase="update")))
+    asyncio.run(drawing._axes_drag.by_axes(event(phase="update")))  # nobody has taken hold of them
     assert session.task is before
     assert session.proposal is None
 

@@ -19,6 +19,7 @@ from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import (
     MILLIMETRE,
     Bound,
+    Drag,
     Post,
     Request,
     add_axes,
@@ -204,17 +205,15 @@ class Handles:
         self._post = post
         self._radius = BALL_RADIUS * link_radius(arm)
         self._balls: list[viser.IcosphereHandle] = []
-        self._grabbed: dict[int, Array] = {}  # where a ball was grabbed, from its middle
+        self._drags: dict[int, Drag] = {}
         self._colors: list[str] = []
         self._frame = server.scene.add_line_segments(
             "/handles/frame", np.zeros((1, 2, 3)), color(palette.REST), thickness=0.25 * link_radius(arm)
         )
         self._axes = add_axes(server, "/handles/axes", AXES_SIZE * arm.length)
-        self._axes_dragged = False
-        self._axes.on_update(self._on_axes)
         self._index = -1
         self._keyframe = -1
-        self._dragged_keyframe = -1
+        self._axes_drag = self._drag(self._axes, lambda drag: self._move(self._index, drag))
 
     def show(self, session: Session, _: Live) -> None:
         """Bring them up to date."""
@@ -223,7 +222,7 @@ class Handles:
         if len(points) != len(self._balls):
             self._make_balls(len(points))
         for index, (ball, point) in enumerate(zip(self._balls, points, strict=True)):
-            if index not in self._grabbed:
+            if index == 0 or not self._drags[index].held:
                 put_at(ball, point)
             own = SELECTED_BALL_COLOR if index in session.handles else BALL_COLOR
             own = palette.BASE if index == 0 else own
@@ -238,7 +237,7 @@ class Handles:
         with_axes = session.handle is not None and session.handle > 0
         if session.handle is not None and with_axes:
             self._index = session.handle
-            if not self._axes_dragged:
+            if not self._axes_drag.held:
                 put_at(self._axes, points[self._index])
         put(self._axes, visible=with_axes)
 
@@ -246,8 +245,8 @@ class Handles:
         for ball in self._balls:
             ball.remove()
         self._balls = []
+        self._drags = {}
         self._colors = [""] * count
-        self._grabbed = {}
         for index in range(count):
             ball = self._server.scene.add_icosphere(
                 f"/handles/point_{index + 1}",
@@ -257,71 +256,40 @@ class Handles:
                 cast_shadow=False,
             )
             if index > 0:
-                ball.on_drag(partial(self._on_drag, index))
+                self._drags[index] = self._drag(ball, partial(self._move, index))
             ball.on_click(partial(self._on_click, index, False))
             ball.on_click(modifier="shift")(partial(self._on_click, index, True))
             self._balls.append(ball)
 
-    async def _on_drag(self, index: int, event: Any) -> None:
-        if index >= len(self._balls):
-            return
-        ball = self._balls[index]
-        if event.phase == "start" or index not in self._grabbed:
-            self._grabbed[index] = np.asarray(event.start_position) - ball.position
-            self._dragged_keyframe = self._keyframe
-        place = np.asarray(event.end_position) - self._grabbed[index]
-        final = event.phase == "end"
-        try:
-            ball.position = place
-        except RuntimeError:  # the ball has been removed, and perhaps the arm with it
-            self._grabbed.pop(index, None)
-            return
-        if final:
-            del self._grabbed[index]
-        self._post_move(index, place, final)
-
     async def _on_click(self, index: int, more: bool, _: Any) -> None:
         self._post(lambda session: session.take_hold(index, more))
 
-    async def _on_axes(self, event: Any) -> None:
-        if not self._axes_dragged:
-            self._dragged_keyframe = self._keyframe
-        self._axes_dragged = event.phase != "end"
-        self._post_move(self._index, np.array(self._axes.position), not self._axes_dragged)
+    def _drag(self, node: Any, ask: Callable[[Drag], Request]) -> Drag:
+        return Drag(self._post, node, ask, lambda: self._keyframe, moves=True)
 
-    def _post_move(self, index: int, place: Array, final: bool) -> None:
-        request = partial(move_point, index, place, final, keyframe=self._dragged_keyframe)
-        self._post(request, "" if final else "move")
+    def _move(self, index: int, drag: Drag) -> Request:
+        return partial(move_point, index, drag.place, drag.ended, keyframe=drag.keyframe)
 
 
 class TipHandle:
     """Axes at the tip of the arm, by which it is dragged while it is selected."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._post = post
         self._start = arm.straight()
         self._keyframe = -1
-        self._dragged_keyframe = -1
-        self._dragged = False
         self._axes = add_axes(server, "/handles/tip", AXES_SIZE * arm.length, sliders=True)
-        self._axes.on_update(self._on_axes)
+        self._drag = Drag(post, self._axes, self._ask, lambda: self._keyframe)
 
     def show(self, session: Session, live: Live) -> None:
         """Bring them up to date."""
         self._start = live.state.q
         self._keyframe = session.selected
-        if not self._dragged:
+        if not self._drag.held:
             put_at(self._axes, live.state.points[-1])
         put(self._axes, visible=session.tip)
 
-    async def _on_axes(self, event: Any) -> None:
-        if not self._dragged:
-            self._dragged_keyframe = self._keyframe
-        final = event.phase == "end"
-        self._dragged = not final
-        place = np.array(self._axes.position)
-        request = partial(drag_tip, place, self._start, final, keyframe=self._dragged_keyframe)
-        self._post(request, "" if final else "tip")
+    def _ask(self, drag: Drag) -> Request:
+        return partial(drag_tip, drag.place, self._start, drag.ended, keyframe=drag.keyframe)
 
 
 class Points:

@@ -135,6 +135,85 @@ def add_axes(
     )
 
 
+class Drag:
+    """A node of the page that a user drags by the mouse, or axes that a user drags.
+
+    It posts requests; those on the way replace each other, the last one counts.
+
+    Attributes:
+        held: whether a user holds it; until the end, the loop does not move axes, nor what moves at once.
+        start: where the node was when the drag began, (3,) [m].
+        place: where it is dragged to, (3,) [m].
+        ended: whether the drag has ended.
+        keyframe: index of the keyframe that was selected when the drag began.
+
+    Args:
+        post: `Editor.post`.
+        node: the node.
+        ask: returns the request to post, given this drag.
+        keyframe: returns the index of the selected keyframe; called when a drag begins.
+        moves: whether the mouse moves the node at once; otherwise the loop puts it where it may be.
+    """
+
+    def __init__(
+        self,
+        post: Post,
+        node: Any,
+        ask: Callable[[Drag], Request],
+        keyframe: Callable[[], int] = lambda: -1,
+        moves: bool = False,
+    ) -> None:
+        self.held = False
+        self.start = np.zeros(3)
+        self.place = np.zeros(3)
+        self.ended = False
+        self.keyframe = -1
+        self._grip = np.zeros(3)  # where the mouse took hold
+        self._post = post
+        self._node = node
+        self._ask = ask
+        self._selected = keyframe
+        self._moves = moves
+        if isinstance(node, viser.TransformControlsHandle):
+            node.on_update(self.by_axes)
+        else:
+            node.on_drag(self.by_mouse)
+
+    async def by_mouse(self, event: Any) -> None:
+        """Take a move of the mouse; viser calls it."""
+        if event.phase == "start" or not self.held:
+            self._begin()
+            self._grip = np.asarray(event.start_position)
+        place = self.start + (np.asarray(event.end_position) - self._grip)
+        if self._moves:
+            try:
+                self._node.position = place
+            except RuntimeError:  # the node has been removed, and perhaps the arm with it
+                self.held = False
+                return
+        self._go(place, event.phase == "end")
+
+    async def by_axes(self, event: Any) -> None:
+        """Take a move of the axes; viser calls it."""
+        if event.client_id is None:  # moved by the loop
+            return
+        if event.phase == "start":
+            self._begin()
+        elif self.held:
+            self._go(np.array(self._node.position), event.phase == "end")
+
+    def _begin(self) -> None:
+        self.held = True
+        self.start = np.array(self._node.position)
+        self.keyframe = self._selected()
+
+    def _go(self, place: Array, ended: bool) -> None:
+        self.held = not ended
+        self.place = place
+        self.ended = ended
+        self._post(self._ask(self), "" if ended else f"drag {id(self)}")
+
+
 class Bound:
     """A control bound to a value of the session: it shows the value, and what a user enters becomes an edit.
 

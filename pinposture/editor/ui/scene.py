@@ -27,6 +27,7 @@ from pinposture.editor.surroundings import ScanShelf, remove_scan
 from pinposture.editor.ui.parts import (
     MILLIMETRE,
     Bound,
+    Drag,
     Post,
     Request,
     add_axes,
@@ -234,10 +235,8 @@ class Obstacles:
         self._drawn: dict[str, DrawnObstacle] = {}
         self._made = 0
         self._name = ""  # of the obstacle with axes and handles
-        self._axes_dragged = False
-        self._grabbed: dict[str, Array] = {}  # where what is dragged was grabbed
         self._axes = add_axes(server, "/obstacle_axes", MIN_AXES_SIZE * arm.length, rotations=True)
-        self._axes.on_update(self._on_axes)
+        self._axes_drag = Drag(post, self._axes, self._move_by_axes)
         self._balls: list[viser.IcosphereHandle] = []
         for index in range(3):
             ball = server.scene.add_icosphere(
@@ -248,7 +247,7 @@ class Obstacles:
                 cast_shadow=False,
                 visible=False,
             )
-            ball.on_drag(partial(self._on_resize, index))
+            Drag(post, ball, partial(self._resize, index))
             self._balls.append(ball)
 
     def show(self, session: Session, _: Live) -> None:
@@ -308,7 +307,7 @@ class Obstacles:
         )
         handle.on_click(partial(self._on_click, name))
         if obstacle.bounded:  # a floor is large: the mouse turns the view there
-            handle.on_drag(partial(self._on_drag, name))
+            Drag(self._post, handle, partial(self._move, name))
         return handle
 
     def _surface(self, obstacle: Obstacle) -> Surface:
@@ -321,7 +320,7 @@ class Obstacles:
 
     def _show_axes(self, name: str, obstacle: Obstacle | None) -> None:
         axes = self._axes
-        if obstacle is not None and not self._axes_dragged:
+        if obstacle is not None and not self._axes_drag.held:
             self._name = name
             pose = obstacle.pose(self._scale.middle)
             put_at(axes, pose.translation, 1e-9)
@@ -338,42 +337,24 @@ class Obstacles:
     async def _on_click(self, name: str, _: Any) -> None:
         self._post(partial(obstacles.select_obstacle, name))
 
-    async def _on_drag(self, name: str, event: Any) -> None:
-        key = f"move {name}"
-        end = np.asarray(event.end_position)
-        if event.phase == "start" or key not in self._grabbed:
-            self._grabbed[key] = np.asarray(event.start_position)
-        shift = end - self._grabbed[key]
-        change = partial(obstacles.moved, shift=shift)
-        self._post_change(key, name, change, f"moved {name}", event.phase == "end")
+    def _move(self, name: str, drag: Drag) -> Request:
+        change = partial(obstacles.moved, shift=drag.place - drag.start)
+        return partial(obstacles.change_obstacle, name, change, f"moved {name}", drag.ended)
 
-    async def _on_resize(self, index: int, event: Any) -> None:
-        key = f"pull {index}"
+    def _resize(self, index: int, drag: Drag) -> Request:
+        place = drag.place
         scale = self._scale
-        if event.phase == "start" or key not in self._grabbed:
-            self._grabbed[key] = np.asarray(event.start_position) - self._balls[index].position
-        place = np.asarray(event.end_position) - self._grabbed[key]
 
         def change(obstacle: Obstacle) -> Obstacle:
             handle = obstacles.size_handles(obstacle, scale)[index]
             return obstacles.resized(obstacle, handle.name, place, scale)
 
-        self._post_change(key, self._name, change, f"resized {self._name}", event.phase == "end")
+        return partial(obstacles.change_obstacle, self._name, change, f"resized {self._name}", drag.ended)
 
-    async def _on_axes(self, event: Any) -> None:
-        if event.client_id is None or (event.phase != "start" and not self._axes_dragged):
-            return
-        pose = pin.SE3(_matrix(self._axes.wxyz), np.array(self._axes.position))
-        final = event.phase == "end"
-        self._axes_dragged = not final
-        if event.phase != "start":
-            change = partial(obstacles.at_pose, pose=pose, scale=self._scale)
-            self._post_change("axes", self._name, change, f"moved {self._name}", final)
-
-    def _post_change(self, key: str, name: str, change: obstacles.Change, what: str, final: bool) -> None:
-        if final:
-            self._grabbed.pop(key, None)
-        self._post(partial(obstacles.change_obstacle, name, change, what, final), "" if final else "obstacle")
+    def _move_by_axes(self, drag: Drag) -> Request:
+        pose = pin.SE3(_matrix(self._axes.wxyz), drag.place)
+        change = partial(obstacles.at_pose, pose=pose, scale=self._scale)
+        return partial(obstacles.change_obstacle, self._name, change, f"moved {self._name}", drag.ended)
 
 
 def _same_rotation(obstacle: Obstacle, wxyz: Array, rotation: Array) -> bool:
