@@ -17,10 +17,10 @@ from pinposture._validation import require_instance
 from pinposture.errors import FileError, PostureError, numbered
 from pinposture.schema import (
     InFolder,
-    Place,
+    KeyPath,
     Refusal,
+    key_path_in_words,
     mistakes_of,
-    place_in_words,
     read_as,
     refusing,
     shown_key,
@@ -70,18 +70,18 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return table
 
 
-def _check_size(path: Path, place: Place, value: Any) -> None:
+def _check_size(path: Path, key_path: KeyPath, value: Any) -> None:
     """Refuse deep nesting and huge integers, which would be too expensive later."""
-    if len(place) > MAX_NESTING:
+    if len(key_path) > MAX_NESTING:
         reason = f"is nested too deep; allowed: {MAX_NESTING} levels of tables and lists"
-        raise FileError(path, f"{place_in_words(place)}: {reason}")
+        raise FileError(path, f"{key_path_in_words(key_path)}: {reason}")
     if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
         reason = f"is a whole number of more than {MAX_INTEGER_BITS} bits"
-        raise FileError(path, f"{place_in_words(place)}: {reason}")
+        raise FileError(path, f"{key_path_in_words(key_path)}: {reason}")
     if isinstance(value, Mapping | list):
         items = value.items() if isinstance(value, Mapping) else enumerate(value)
         for key, each in items:
-            _check_size(path, (*place, key), each)
+            _check_size(path, (*key_path, key), each)
 
 
 class Document(InFolder):
@@ -91,7 +91,7 @@ class Document(InFolder):
         path: the file.
         values: its contents.
         toml: the text if the file is TOML; None if it is JSON.
-        changed: the places of values that are not those of the file.
+        changed: the key paths of values that are not those of the file.
         arm: the arm of a task, once it has been read.
         described: the description of each part of a task: plain data in SI units, with an absolute `Path`
             for each path.
@@ -102,7 +102,7 @@ class Document(InFolder):
         self.path = path
         self.values = values
         self.toml = toml
-        self.changed: set[Place] = set()
+        self.changed: set[KeyPath] = set()
 
     @classmethod
     def load(cls, path: Path) -> Document:
@@ -127,51 +127,53 @@ class Document(InFolder):
         """Put another value in the place of one in the file, or where there was none.
 
         Args:
-            key: its place, as in "limits.velocity" or "keyframes.2.time"; list items count from 1.
+            key: its key path, as in "limits.velocity" or "keyframes.2.time"; list items count from 1.
             value: plain data.
 
         Raises:
             InvalidValue: a key that is not text.
-            FileError: there is no such place.
+            FileError: there is no such key path.
         """
         require_instance("key to change", key, str, 'text such as "limits.velocity"')
-        place: Place = tuple(int(each) - 1 if each.isdecimal() else each for each in key.split("."))
+        key_path: KeyPath = tuple(int(each) - 1 if each.isdecimal() else each for each in key.split("."))
         inside: Any = self.values
-        for depth, each in enumerate(place):
+        for depth, each in enumerate(key_path):
             listed = isinstance(inside, list) and isinstance(each, int) and 0 <= each < len(inside)
             if not listed and not (isinstance(inside, dict) and isinstance(each, str) and each):
-                where = place_in_words(place[:depth])
+                where = key_path_in_words(key_path[:depth])
                 raise FileError(self.path, f"there is no {key!r} to change: nothing of that name in {where}")
-            if depth == len(place) - 1:
+            if depth == len(key_path) - 1:
                 inside[each] = value
             elif not listed:
                 inside = inside.setdefault(each, {})
             else:
                 inside = inside[each]
-        self.changed.add(place)
+        self.changed.add(key_path)
 
-    def at(self, where: Place) -> Any:
-        """Return the value at a place; None if there is none."""
+    def at(self, key_path: KeyPath) -> Any:
+        """Return the value at a key path; None if there is none."""
         value: Any = self.values
-        for key in where:
+        for key in key_path:
             there = key in value if isinstance(value, Mapping) else isinstance(key, int) and key < len(value)
             if not there:
                 return None
             value = value[key]
         return value
 
-    def read(self, kind: Any, where: Place) -> Any:
-        """Return the value at a place as a declared class or an annotated type; a missing table is empty.
+    def read(self, kind: Any, key_path: KeyPath) -> Any:
+        """Return the value at a key path as a declared class or an annotated type; a missing table is empty.
 
         Raises:
             FileError: all mistakes in it.
         """
-        value = self.at(where)
+        value = self.at(key_path)
         try:
             return read_as(kind, {} if value is None else value, self)
         except ValidationError as error:
             mistakes = mistakes_of(error)
-            failure = self.together([self.fault((*where, *inside), str(each)) for inside, each in mistakes])
+            failure = self.together(
+                [self.fault((*key_path, *inside), str(each)) for inside, each in mistakes]
+            )
             raise failure from mistakes[0][1].__cause__
 
     def read_all(self, kinds: Mapping[str, Any]) -> dict[str, Any]:
@@ -199,32 +201,32 @@ class Document(InFolder):
         return error
 
     @contextmanager
-    def blaming(self, where: Place) -> Iterator[None]:
+    def blaming(self, key_path: KeyPath) -> Iterator[None]:
         """Report an error of the library at the key of the table that it names, or at the table."""
         try:
-            with refusing(self.at(where)):
+            with refusing(self.at(key_path)):
                 yield
         except Refusal as refusal:
-            raise self.fault((*where, *refusal.within), str(refusal)) from refusal.__cause__
+            raise self.fault((*key_path, *refusal.within), str(refusal)) from refusal.__cause__
 
-    def line(self, where: Place) -> int | None:
-        """Return the line of a place, or of its parent; None if unknown, as in JSON, or changed."""
-        for end in range(len(where), 0, -1):
-            if where[:end] in self.changed:
+    def line(self, key_path: KeyPath) -> int | None:
+        """Return the line of a key path, or of its parent; None if unknown, as in JSON, or changed."""
+        for end in range(len(key_path), 0, -1):
+            if key_path[:end] in self.changed:
                 return None
-            if where[:end] in self._lines:
-                return self._lines[where[:end]]
+            if key_path[:end] in self._lines:
+                return self._lines[key_path[:end]]
         return None
 
-    def fault(self, where: Place, reason: str) -> FileError:
-        """Return an error about a place."""
-        line = self.line(where)
+    def fault(self, key_path: KeyPath, reason: str) -> FileError:
+        """Return an error about a key path."""
+        line = self.line(key_path)
         text = " ".join(reason.split())
         before = "" if line is None else f"line {line}: "
-        return FileError(self.path, f"{before}{place_in_words(where)}: {text}")
+        return FileError(self.path, f"{before}{key_path_in_words(key_path)}: {text}")
 
     @cached_property
-    def _lines(self) -> dict[Place, int]:
+    def _lines(self) -> dict[KeyPath, int]:
         return {} if self.toml is None else lines_of_toml(self.toml.replace("\r\n", "\n"))
 
 

@@ -60,7 +60,7 @@ from pinposture.errors import InvalidValue, PostureError, UnknownName, did_you_m
 
 MAX_SHOWN_CHARACTERS = 100
 
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """The path to a value in a file: keys, and indices of list items from 0."""
 
 
@@ -81,10 +81,10 @@ def _cut(text: str) -> str:
     return text if len(text) <= MAX_SHOWN_CHARACTERS else text[: MAX_SHOWN_CHARACTERS - 4] + " ..."
 
 
-def place_in_words(place: Place) -> str:
-    """Describe a place in a file, as in "keyframe 2, curve.radius"; list items count from 1."""
+def key_path_in_words(key_path: KeyPath) -> str:
+    """Describe a key path in a file, as in "keyframe 2, curve.radius"; list items count from 1."""
     words = ""
-    for key in place:
+    for key in key_path:
         if isinstance(key, int):
             words = f"{words.removesuffix('s')} {key + 1}"
         else:
@@ -106,7 +106,7 @@ class Refusal(ValueError):
 
     def __init__(self, reason: str, *within: str | int, error: PostureError | None = None) -> None:
         super().__init__(reason)
-        self.within: Place = within
+        self.within: KeyPath = within
         self.error = error
 
 
@@ -162,13 +162,13 @@ def read_within(key: str | int, read: Callable[..., Read], *arguments: Any) -> R
         raise _joined([((key, *each.within), each) for each in mistakes]) from None
 
 
-def mistakes_of(error: ValidationError) -> list[tuple[Place, Refusal]]:
-    """Return place and reason of each mistake that validators found."""
+def mistakes_of(error: ValidationError) -> list[tuple[KeyPath, Refusal]]:
+    """Return key path and reason of each mistake that validators found."""
     return [each for found in error.errors(include_url=False) for each in _mistakes(found)]
 
 
-def _mistakes(found: Mapping[str, Any]) -> list[tuple[Place, Refusal]]:
-    inside: Place = found["loc"]
+def _mistakes(found: Mapping[str, Any]) -> list[tuple[KeyPath, Refusal]]:
+    inside: KeyPath = found["loc"]
     cause = found.get("ctx", {}).get("error")
     if found["type"] == "missing":
         return [(inside[:-1], Refusal(f"the key {inside[-1]!r} is missing"))]
@@ -190,24 +190,24 @@ def _refusal(cause: Exception, table: object) -> Refusal:
     return Refusal(str(cause), error=cause if isinstance(cause, PostureError) else None)
 
 
-def error_of(place: Place, refusal: Refusal) -> PostureError:
-    """Return the error of a mistake at a place, for a reader that has no file to name."""
-    name = place_in_words(place) if place else "description"
-    if isinstance(refusal.error, UnknownName) and len(place) == 1:
+def error_of(key_path: KeyPath, refusal: Refusal) -> PostureError:
+    """Return the error of a mistake at a key path, for a reader that has no file to name."""
+    name = key_path_in_words(key_path) if key_path else "description"
+    if isinstance(refusal.error, UnknownName) and len(key_path) == 1:
         return refusal.error
     if isinstance(refusal, NotAllowed) and not isinstance(refusal.error, UnknownName):
         invalid = InvalidValue(name, refusal.value, refusal.allowed)
         invalid.args = (f"{name} {refusal}",) if refusal.hint else invalid.args
         return invalid
     failure = copy(refusal.error or InvalidValue(name, None, str(refusal)))
-    failure.args = (f"{name}: {refusal}" if place else str(refusal),)
+    failure.args = (f"{name}: {refusal}" if key_path else str(refusal),)
     return failure
 
 
-def _joined(mistakes: Sequence[tuple[Place, Refusal]]) -> Refusal | Refusals:
+def _joined(mistakes: Sequence[tuple[KeyPath, Refusal]]) -> Refusal | Refusals:
     """Return mistakes in a value, each with the keys to its part, as one exception."""
-    for place, each in mistakes:
-        each.within = place
+    for key_path, each in mistakes:
+        each.within = key_path
     found = [each for _, each in mistakes]
     return found[0] if len(found) == 1 else Refusals(found)
 
@@ -491,9 +491,9 @@ def is_file_name(value: object) -> bool:
     return isinstance(value, str) and bool(value.strip()) and "\0" not in value
 
 
-def _read_table(value: object) -> Mapping[str, Any]:
+def _read_table(value: object, in_call: bool = False) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise NotAllowed(value, "a table")
+        raise NotAllowed(value, "a mapping" if in_call else "a table")
     return value
 
 
@@ -528,7 +528,7 @@ Position = Annotated[tuple[float, ...], quantities("length", 3)]
 Rotation = Annotated[tuple[float, ...], quantities("angle", 3)]
 JointDistance = Annotated[float, quantity("angle", "length", least=0.0)]
 """A distance of joint positions [rad or m]."""
-Table = BeforeValidator(_read_table)
+Table = BeforeValidator(lambda value, info: _read_table(value, in_call=in_file(info) is None))
 
 # Declared classes.
 
@@ -578,10 +578,10 @@ def _error_of_call(kind: type, names: Sequence[str], error: ValidationError) -> 
     cause = found.get("ctx", {}).get("error")
     if isinstance(cause, PostureError):
         return cause
-    place, refusal = _mistakes(found)[0]
+    key_path, refusal = _mistakes(found)[0]
     if refusal.error is not None:
         return refusal.error
-    first, *rest = place or (kind.__name__,)
+    first, *rest = key_path or (kind.__name__,)
     name = names[first] if isinstance(first, int) else first
     name += "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in rest)
     if isinstance(refusal, NotAllowed):
@@ -750,13 +750,13 @@ def read_plain(
         arm: the arm to which plain data belongs, if it is known.
 
     Raises:
-        PostureError: the first mistake; names its place.
+        PostureError: the first mistake; names its key path.
     """
     try:
         return read_as(kind, value, None if folder is None else InFolder(Path(folder), arm=arm))
     except ValidationError as error:
-        place, refusal = mistakes_of(error)[0]
-        raise error_of((name, *place) if name else place, refusal) from refusal.__cause__
+        key_path, refusal = mistakes_of(error)[0]
+        raise error_of((name, *key_path) if name else key_path, refusal) from refusal.__cause__
 
 
 def read_call(kind: Any, values: Mapping[str, Any], arm: Any = None) -> Any:
@@ -798,12 +798,14 @@ def describe_field(kind: type, name: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def with_value(part: Declared, place: Sequence[str], value: object, name: str = "", arm: Any = None) -> Any:
+def with_value(
+    part: Declared, key_path: Sequence[str], value: object, name: str = "", arm: Any = None
+) -> Any:
     """Return a part with another value of one of its fields, or of a field of its parts.
 
     Args:
         part: the part.
-        place: the field, and those within it.
+        key_path: the field, and those within it.
         value: plain data, as a file contains it.
         name: what errors call the part.
         arm: the arm to which it belongs, if it is known.
@@ -811,7 +813,7 @@ def with_value(part: Declared, place: Sequence[str], value: object, name: str = 
     Raises:
         PostureError: there is no such field, or the value is refused.
     """
-    key, *rest = place
+    key, *rest = key_path
     kind = cast(Any, type(part))
     called = f"{name}.{key}"
     if key not in _fields(kind):

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import tomlkit
 from tomlkit.items import AbstractTable, Array, InlineTable, Item, Trivia, Whitespace
 
-from pinposture.schema import Place, is_table
+from pinposture.schema import KeyPath, is_table
 from pinposture.storage import parse_toml
 
 # The lines on which tables, keys and list items begin, which tomlkit does not provide.
@@ -32,7 +32,7 @@ _BARE = re.compile(r"[^,\]}#\n]*")
 _BLANK = re.compile(r"(?:\s|,|#[^\n]*)*")
 
 
-def lines_of_toml(text: str) -> dict[Place, int]:
+def lines_of_toml(text: str) -> dict[KeyPath, int]:
     """Find the lines of all tables, keys and list items in a text that is known to be TOML.
 
     The line of a table that is opened several times, as by dotted keys, is the first one.
@@ -41,7 +41,7 @@ def lines_of_toml(text: str) -> dict[Place, int]:
         text: the text; lines end in a line feed.
 
     Returns:
-        Lines by place; the first line is 1.
+        Lines by key path; the first line is 1.
     """
     return _Scanner(text).lines
 
@@ -50,18 +50,18 @@ class _Scanner:
     """One pass through a text that is assumed to be valid.
 
     Attributes:
-        lines: the line of each place.
-        headers: the line and the place of each header.
+        lines: the line of each key path.
+        headers: the line and the key path of each header.
     """
 
     def __init__(self, text: str) -> None:
-        self.lines: dict[Place, int] = {}
-        self.headers: list[tuple[int, Place]] = []
+        self.lines: dict[KeyPath, int] = {}
+        self.headers: list[tuple[int, KeyPath]] = []
         self._text = text
         self._at = 0
         self._breaks = [match.start() for match in re.finditer("\n", text)]
-        self._last_items: dict[Place, int] = {}  # of each list of tables
-        table: Place = ()
+        self._last_items: dict[KeyPath, int] = {}  # of each list of tables
+        table: KeyPath = ()
         self._skip(_BLANK)
         while self._at < len(text):
             if text[self._at] == "[":
@@ -70,35 +70,35 @@ class _Scanner:
                 self._entry(table)
             self._skip(_BLANK)
 
-    def _header(self) -> Place:
+    def _header(self) -> KeyPath:
         line = self._line()
         brackets = 2 if self._text.startswith("[[", self._at) else 1
         self._at += brackets
         self._skip(_BLANK)
-        place: Place = ()
+        key_path: KeyPath = ()
         names = self._key()
         for number, name in enumerate(names, start=1):
-            place = (*place, name)
-            self.lines.setdefault(place, line)
+            key_path = (*key_path, name)
+            self.lines.setdefault(key_path, line)
             if brackets == 2 and number == len(names):
-                self._last_items[place] = self._last_items.get(place, -1) + 1
-            if place in self._last_items:
-                place = (*place, self._last_items[place])
-            self.lines.setdefault(place, line)
+                self._last_items[key_path] = self._last_items.get(key_path, -1) + 1
+            if key_path in self._last_items:
+                key_path = (*key_path, self._last_items[key_path])
+            self.lines.setdefault(key_path, line)
         self._skip(_BLANK)
         self._at += brackets
-        self.headers.append((line, place))
-        return place
+        self.headers.append((line, key_path))
+        return key_path
 
-    def _entry(self, place: Place) -> None:
+    def _entry(self, key_path: KeyPath) -> None:
         line = self._line()
         for name in self._key():
-            place = (*place, name)
-            self.lines.setdefault(place, line)
+            key_path = (*key_path, name)
+            self.lines.setdefault(key_path, line)
         self._at = self._text.index("=", self._at) + 1
-        self._value(place)
+        self._value(key_path)
 
-    def _value(self, place: Place) -> None:
+    def _value(self, key_path: KeyPath) -> None:
         self._skip(_BLANK)
         begin = self._text[self._at]
         if begin not in "[{":
@@ -109,9 +109,9 @@ class _Scanner:
         numbers = count()
         while self._text[self._at] not in "]}":
             if begin == "{":
-                self._entry(place)
+                self._entry(key_path)
             else:
-                item = (*place, next(numbers))
+                item = (*key_path, next(numbers))
                 self.lines[item] = self._line()
                 self._value(item)
             self._skip(_BLANK)
@@ -214,12 +214,12 @@ class _Section(NamedTuple):
     tail: str
 
 
-def _sections(text: str) -> dict[Place, _Section]:
-    """Divide a file at its headers; return sections by place, the entries above all headers at ()."""
+def _sections(text: str) -> dict[KeyPath, _Section]:
+    """Divide a file at its headers; return sections by key path, the entries above all headers at ()."""
     headers = _Scanner(text).headers
     lines = re.findall(r"[^\n]*\n|[^\n]+", text)
-    sections: dict[Place, _Section] = {}
-    place: Place = ()
+    sections: dict[KeyPath, _Section] = {}
+    key_path: KeyPath = ()
     header = ""
     begin = 0
     for number, (line, following) in enumerate([*headers, (len(lines) + 1, ())]):
@@ -230,12 +230,12 @@ def _sections(text: str) -> dict[Place, _Section]:
         lead = end if number == len(headers) else next(blank, entries - 1) + 1
         body = "".join(lines[begin:entries])
         tail = "".join(lines[entries:lead])
-        if not place and not body:  # what precedes everything else stays there
+        if not key_path and not body:  # what precedes everything else stays there
             header = "".join(lines[:end])
             tail = ""
             lead = end
-        sections[place] = _Section(number, header, body, tail)
-        place = following
+        sections[key_path] = _Section(number, header, body, tail)
+        key_path = following
         header = "".join(lines[lead : end + 1])
         begin = end + 1
     return sections
@@ -248,7 +248,7 @@ class _Editor:
     their order.
     """
 
-    def __init__(self, sections: Mapping[Place, _Section]) -> None:
+    def __init__(self, sections: Mapping[KeyPath, _Section]) -> None:
         self._sections = sections
         self._pieces: dict[tuple[int, int], tuple[str, bool]] = {}
         self._count = count(1)
@@ -267,23 +267,23 @@ class _Editor:
     def _insert(self, after: int, text: str, new: bool = True) -> None:
         self._pieces[after, next(self._count)] = text, new
 
-    def _within(self, place: Place) -> list[_Section]:
-        """Return the sections at and below a place, in the order of the file."""
-        return [each for other, each in self._sections.items() if other[: len(place)] == place]
+    def _within(self, key_path: KeyPath) -> list[_Section]:
+        """Return the sections at and below a key path, in the order of the file."""
+        return [each for other, each in self._sections.items() if other[: len(key_path)] == key_path]
 
-    def _children(self, place: Place) -> dict[str, bool]:
-        """Return the keys of sections below a place, and whether each is a list of tables."""
-        depth = len(place)
+    def _children(self, key_path: KeyPath) -> dict[str, bool]:
+        """Return the keys of sections below a key path, and whether each is a list of tables."""
+        depth = len(key_path)
         found = dict[str, bool]()
         for other in self._sections:
-            if len(other) > depth and other[:depth] == place:
+            if len(other) > depth and other[:depth] == key_path:
                 found[str(other[depth])] = len(other) > depth + 1 and isinstance(other[depth + 1], int)
         return found
 
-    def update(self, place: Place, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-        """Write the sections at and below a place with new values."""
-        section = self._sections.get(place)
-        children = self._children(place)
+    def update(self, key_path: KeyPath, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+        """Write the sections at and below a key path with new values."""
+        section = self._sections.get(key_path)
+        children = self._children(key_path)
         kept = {
             key
             for key, listed in children.items()
@@ -293,7 +293,7 @@ class _Editor:
         own = {key: value for key, value in new.items() if key not in kept}
         present = own if own_old == own else parse_toml(section.body) if section else {}
         added = {key for key in own if key not in present and not _unchanged(own_old, own, key)}
-        outermost = not place
+        outermost = not key_path
         headless = section is None
         sections = {key for key in added if _is_section(own[key], outermost, headless)}
         own = {key: value for key, value in own.items() if key not in sections}
@@ -303,11 +303,14 @@ class _Editor:
             begun = outermost and bool(body) and not section.body
             self._pieces[at] = (section.header + body + section.tail, begun)
         else:
-            at = (self._within(place)[0].number - 1, next(self._count))
+            at = (self._within(key_path)[0].number - 1, next(self._count))
             if drop_defaults(own).keys() & added:
-                self._pieces[at] = _new_section(place, {key: own[key] for key in own if key in added}), True
+                self._pieces[at] = (
+                    _new_section(key_path, {key: own[key] for key in own if key in added}),
+                    True,
+                )
         for key, value in new.items():
-            child = (*place, key)
+            child = (*key_path, key)
             if key in sections:
                 self._add(child, value, at[0])
             elif key in kept:
@@ -317,39 +320,39 @@ class _Editor:
                     self.update(child, old.get(key, {}), value)
                 at = max(at, (self._within(child)[-1].number, 0))
         for key in children.keys() - new.keys() - old.keys():  # the user's own
-            for each in self._within((*place, key)):
+            for each in self._within((*key_path, key)):
                 self._pieces[each.number, 0] = (each.header + each.body + each.tail, False)
 
-    def _add(self, place: Place, value: Any, after: int) -> None:
+    def _add(self, key_path: KeyPath, value: Any, after: int) -> None:
         """Write a new section, or a list of them."""
         if not isinstance(value, Mapping):
             for each in value:
-                self._insert(after, _new_section(place, each, listed=True))
+                self._insert(after, _new_section(key_path, each, listed=True))
             return
         nested = {key: each for key, each in value.items() if _is_section(each)}
         own = {key: each for key, each in value.items() if key not in nested}
         if own or not nested:
-            self._insert(after, _new_section(place, own))
+            self._insert(after, _new_section(key_path, own))
         for key, tables in nested.items():
             for name, table in tables.items():
-                self._add((*place, key, name), table, after)
+                self._add((*key_path, key, name), table, after)
 
-    def _update_list(self, place: Place, old: Any, new: Any) -> None:
+    def _update_list(self, key_path: KeyPath, old: Any, new: Any) -> None:
         """Write a list of sections, some of which may be new, removed, or reordered."""
-        items = {other[: len(place) + 1] for other in self._sections if other[: len(place)] == place}
+        items = {other[: len(key_path) + 1] for other in self._sections if other[: len(key_path)] == key_path}
         same_count = isinstance(old, list) and len(old) == len(items)
         origins = _matches(old, new) if same_count else [None] * len(new)
-        first = self._within(place)[0].number
+        first = self._within(key_path)[0].number
         before = -1
         in_place = origins == list(range(len(items)))
         for origin, value in zip(origins, new, strict=True):
             if origin is None:
-                self._insert(first, _new_section(place, value, listed=True))
+                self._insert(first, _new_section(key_path, value, listed=True))
             elif in_place:
-                self.update((*place, origin), old[origin], value)
+                self.update((*key_path, origin), old[origin], value)
             else:
                 item = _Editor(self._sections)
-                item.update((*place, origin), old[origin], value)
+                item.update((*key_path, origin), old[origin], value)
                 self._insert(first, item.text(), origin != before + 1)
             before = -2 if origin is None else origin
 
@@ -399,12 +402,12 @@ def _unchanged(old: Mapping[str, Any], new: Mapping[str, Any], key: str) -> bool
     return key in old and bool(old[key] == new[key])
 
 
-def _new_section(place: Place, values: Mapping[str, Any], listed: bool = False) -> str:
+def _new_section(key_path: KeyPath, values: Mapping[str, Any], listed: bool = False) -> str:
     document = tomlkit.document()
     for key, value in drop_defaults(values).items():
         document.append(key, _entry(key, value))
-    name = ".".join(tomlkit.key(key).as_string() for key in place if isinstance(key, str))
-    header = "" if not place else f"[[{name}]]\n" if listed else f"[{name}]\n"
+    name = ".".join(tomlkit.key(key).as_string() for key in key_path if isinstance(key, str))
+    header = "" if not key_path else f"[[{name}]]\n" if listed else f"[{name}]\n"
     return header + document.as_string()
 
 

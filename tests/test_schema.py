@@ -25,7 +25,7 @@ from sampling import examples
 import pinposture as pp
 from pinposture.arm import ArmSpec, Cable, FeedSpec, Load, Weight
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
-from pinposture.schema import mistakes_of, place_in_words, read_as
+from pinposture.schema import key_path_in_words, mistakes_of, read_as
 from pinposture.sim import ContactModel, DriveModel, Sensing, Servos
 from pinposture.task import Leader, TipGoal, Withdrawal
 
@@ -149,7 +149,7 @@ def refusals() -> str:
                 place, refusal = mistakes_of(error)[0]
                 reason = str(refusal)
                 reasons.setdefault(
-                    reason.partition("; allowed: ")[2] or reason, f"{place_in_words(place)}: {reason}"
+                    reason.partition("; allowed: ")[2] or reason, f"{key_path_in_words(place)}: {reason}"
                 )
         lines += [f"{kind.__name__}.{each}" for each in reasons.values()]
     return "".join(f"{each}\n" for each in lines)

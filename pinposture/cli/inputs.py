@@ -271,11 +271,11 @@ class ChangeOptions:
         from pinposture.schema import with_value
 
         changed: Any = to.spec if isinstance(to, Arm) else to
-        places = [key.split(".") for key in read_changes(self.changes)]
-        for (first, *place), value in zip(places, read_changes(self.changes).values(), strict=True):
+        key_paths = [key.split(".") for key in read_changes(self.changes)]
+        for (first, *rest), value in zip(key_paths, read_changes(self.changes).values(), strict=True):
             if first == part:
-                changed = with_value(changed, place, value, f"--set {part}", arm)
-        if not any(first == part for first, *_ in places):
+                changed = with_value(changed, rest, value, f"--set {part}", arm)
+        if not any(first == part for first, *_ in key_paths):
             return to
         return Arm.from_spec(changed) if isinstance(to, Arm) else changed
 

@@ -33,8 +33,8 @@ from pinposture.errors import FileError, InvalidValue, PostureError, TaskError
 from pinposture.motion.trajectory import Trajectory
 from pinposture.schema import (
     Count,
+    KeyPath,
     NotAllowed,
-    Place,
     Refusal,
     Text,
     in_file,
@@ -397,13 +397,13 @@ class Task:
                 raise
             raise self._file_error(self._document, error, where) from error
 
-    def _file_error(self, document: Document, error: PostureError, where: Place) -> FileError:
+    def _file_error(self, document: Document, error: PostureError, where: KeyPath) -> FileError:
         """Return an error with the line of each of its reasons."""
         if not error.reasons:
             return self._located(document, error, where)
         return document.together([self._located(document, each, where) for each in error.reasons])
 
-    def _located(self, document: Document, error: PostureError, where: Place) -> FileError:
+    def _located(self, document: Document, error: PostureError, where: KeyPath) -> FileError:
         message = str(error)
         if isinstance(self.motion, Leader):
             key = error.name if isinstance(error, InvalidValue) else ""
@@ -416,8 +416,8 @@ class Task:
             return document.fault(where or ("leader", "path"), message)
         if is_phased(self.motion):
             found = _PHASE.match(message)
-            place: Place = ("phases", int(found[1]) - 1) if found else ("phases",)
-            line = document.line(place)
+            key_path: KeyPath = ("phases", int(found[1]) - 1) if found else ("phases",)
+            line = document.line(key_path)
             return FileError(document.path, message if line is None else f"line {line}: {message}")
         if isinstance(error, InvalidValue) and error.name in ("repeat", "start"):
             return document.fault((error.name,), f"is {shown(error.value)}; allowed: {error.allowed}")
@@ -600,7 +600,7 @@ def _check_surroundings(document: Document, motion: Any, scene: Scene | None) ->
     errors: list[PostureError] = []
     arm = document.arm
     if isinstance(motion, Leader):
-        leaders: dict[Place, Any] = {("leader",): motion}
+        leaders: dict[KeyPath, Any] = {("leader",): motion}
     else:
         leaders = {
             ("phases", index, "leader"): getattr(each, "motion", None) for index, each in enumerate(motion)
