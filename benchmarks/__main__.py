@@ -41,6 +41,7 @@ SCRIPTS = (
     "switching",
     "thesis_claims",
     "touch",
+    "wrap",
 )
 """Modules of `benchmarks.studies` with a command line of their own."""
 

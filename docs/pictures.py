@@ -1,6 +1,6 @@
 """The pictures of the documentation: drawn here, figures that examples save, and frames of their animations.
 
-python docs/pictures.py            # all, into docs/pictures, and docs/dragging.gif; frames need Chromium
+python docs/pictures.py            # all, into docs/pictures, and two GIFs beside; frames need Chromium
 python docs/pictures.py limits     # those named
 """
 
@@ -284,42 +284,65 @@ def on_screen(points: Array) -> Array:
     return np.asarray(points @ np.stack([right, np.cross(eye, right), eye], axis=1))
 
 
-def dragging_frame(arm: pp.Arm, q: Array, controls: Array, curve: pp.Curve, note: str) -> Image.Image:
-    """Draw one frame: the curve with its control points, the arm at q, and their shadows on the floor."""
+def above_floor(arm: pp.Arm, q: Array) -> tuple[Figure, Axes]:
+    """Draw the floor, and the shadow of an arm at q."""
     figure = Figure(figsize=(6.4, 3.6), dpi=100)
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     for k in np.arange(-0.4, 1.41, 0.2):
         for ends in ([(k, -0.6, FLOOR), (k, 0.8, FLOOR)], [(-0.4, k - 0.2, FLOOR), (1.4, k - 0.2, FLOOR)]):
             ax.plot(*on_screen(np.array(ends))[:, :2].T, color=palette.FAINT, lw=0.6, zorder=0)
-    body = backbone(arm, q)
-    ax.plot(*on_screen(body * (1, 1, 0) + (0, 0, FLOOR))[:, :2].T, color="#E4E4E4", lw=7, zorder=1)
+    shadow = backbone(arm, q) * (1, 1, 0) + (0, 0, FLOOR)
+    ax.plot(*on_screen(shadow)[:, :2].T, color="#E4E4E4", lw=7, zorder=1)
+    return figure, ax
+
+
+def draw_modules(ax: Axes, arm: pp.Arm, q: Array, width: float, order: Callable[[float], float]) -> Array:
+    """Draw the modules of an arm and its base, in an order by their place towards the viewer.
+
+    Returns:
+        The base and the control points on the screen, (m + 1, 3).
+    """
+    ends = on_screen(np.vstack([arm.chain.base, arm.at(q).points]))
+    stations = on_screen(backbone(arm, q))
+    for k in range(arm.n_modules):
+        first, last = (int(np.abs(stations - end).sum(axis=1).argmin()) for end in ends[k : k + 2])
+        part = stations[first : last + 1, :2].T
+        color = palette.MODULES[k % 2]
+        ax.plot(*part, color=color, lw=width, solid_capstyle="round", zorder=order(float(ends[k, 2])))
+    ax.plot(*ends[:1, :2].T, ls="none", marker="s", ms=11, color=palette.BASE, zorder=4)
+    return ends
+
+
+def as_frame(
+    figure: Figure, ax: Axes, note: str, across: tuple[float, float], upward: tuple[float, float]
+) -> Image.Image:
+    """Return a figure as a frame of an animation, with a note, and what it shows in both directions [m]."""
+    ax.text(0.02, 0.05, note, transform=ax.transAxes, fontsize=9, color=palette.INK)
+    ax.set(xlim=across, ylim=upward, aspect="equal")
+    ax.axis("off")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def dragging_frame(arm: pp.Arm, q: Array, controls: Array, curve: pp.Curve, note: str) -> Image.Image:
+    """Draw one frame: the curve with its control points, the arm at q, and their shadows on the floor."""
+    figure, ax = above_floor(arm, q)
     polygon = on_screen(controls)
     ax.plot(*polygon[:, :2].T, color=palette.START, lw=0.9, ls=(0, (4, 3)), zorder=2)
     line = on_screen(curve.at(np.linspace(0, curve.length, 300)))
     ax.plot(*line[:, :2].T, color=palette.TARGET, lw=1.4, zorder=8)  # above the arm: it is always seen
-    ends = on_screen(np.vstack([arm.chain.base, arm.at(q).points]))
-    stations = on_screen(body)
-    for k in range(arm.n_modules):
-        first, last = (int(np.abs(stations - end).sum(axis=1).argmin()) for end in ends[k : k + 2])
-        depth = 3.0 + 0.5 * ends[k, 2]
-        part = stations[first : last + 1, :2].T
-        ax.plot(*part, color=palette.MODULES[k % 2], lw=9, solid_capstyle="round", zorder=depth)
+    ends = draw_modules(ax, arm, q, 9, lambda toward: 3.0 + 0.5 * toward)
     ax.plot(
         *ends[1:, :2].T, ls="none", marker="o", ms=4, mfc=palette.ACTIVE, mec=palette.INK, mew=0.5, zorder=9
     )
-    ax.plot(*ends[:1, :2].T, ls="none", marker="s", ms=11, color=palette.BASE, zorder=4)
     ax.plot(
         *polygon[1:, :2].T, ls="none", marker="o", ms=7, color=palette.SPARE[0], mec=palette.INK, zorder=9
     )
     held = polygon[DRAGGED : DRAGGED + 1, :2].T
     ax.plot(*held, ls="none", marker="o", ms=11, color=palette.START, mec=palette.INK, zorder=10)
     ax.plot(*held, ls="none", marker="o", ms=21, mfc="none", mec=palette.FINAL, mew=1.6, zorder=10)
-    ax.text(0.02, 0.05, note, transform=ax.transAxes, fontsize=9, color=palette.INK)
-    ax.set(xlim=(-0.32, 1.2), ylim=(-0.28, 0.575), aspect="equal")
-    ax.axis("off")
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    return as_frame(figure, ax, note, (-0.32, 1.2), (-0.28, 0.575))
 
 
 def dragging(count: int = FRAMES) -> list[Image.Image]:
@@ -346,9 +369,55 @@ def dragging(count: int = FRAMES) -> list[Image.Image]:
     return frames[1:]
 
 
-def animate(path: Path) -> None:
-    """Write the drag as an animated GIF that repeats, with one palette for all frames."""
-    frames = dragging()
+SHOWN = 8
+"""Every so many cycles of the simulation of `19_wrap` there is a frame, which is shown at twice the speed."""
+
+
+def wrapping_frame(arm: pp.Arm, q: Array, can: pp.Cylinder, note: str) -> Image.Image:
+    """Draw one frame: an arm at q, in front of a can or behind it."""
+    figure, ax = above_floor(arm, q)
+    start, end = np.array(can.start), np.array(can.end)
+    axis = (end - start) / np.linalg.norm(end - start)
+    side = np.cross(axis, (1.0, 0.0, 0.0))
+    side /= np.linalg.norm(side)
+    angles = np.linspace(0.0, 2.0 * np.pi, 61)[:, None]
+    rim = can.radius * (np.cos(angles) * side + np.sin(angles) * np.cross(axis, side))
+    low, high = (on_screen(place + rim)[:, :2] for place in (start, end))
+    middle = on_screen(0.5 * (start + end)[None])[0, 2]
+    shadow = on_screen((start + rim) * (1, 1, 0) + (0, 0, FLOOR))[:, :2]
+    ax.fill(*shadow.T, color="#E4E4E4", zorder=1)
+    for k in range(len(low) - 1):  # the mantle, as far as it faces the viewer
+        quad = np.array([low[k], low[k + 1], high[k + 1], high[k]])
+        ax.fill(*quad.T, color=palette.SPARE[0], alpha=0.35, lw=0, zorder=5)
+    ax.plot(*high.T, color=palette.INK, lw=0.8, zorder=5.5)
+    draw_modules(ax, arm, q, 8, lambda toward: (3.0 if toward < middle else 6.0) + 0.5 * toward)
+    return as_frame(figure, ax, note, (-0.15, 0.95), (-0.27, 0.349))
+
+
+def wrapping(count: int | None = None) -> list[Image.Image]:
+    """Draw the first frames of the simulation of `19_wrap`."""
+    back = Path.cwd()
+    with tempfile.TemporaryDirectory() as place, contextlib.redirect_stdout(io.StringIO()):
+        os.chdir(place)
+        try:
+            made = runpy.run_path(str(HERE.parent / "examples/19_wrap.py"))
+        finally:
+            os.chdir(back)
+    ended, scene = made["ended"], made["scene"]
+    rows = range(0, len(ended.q), SHOWN)[:count]
+    return [
+        wrapping_frame(
+            ended.arm,
+            ended.q[row],
+            ended.scene_in(row, scene).obstacles["can"],
+            f"simulated in MuJoCo: 40 joints of 5 N m, a can of 300 g, friction 0.5; {ended.time[row]:.1f} s",
+        )
+        for row in rows
+    ]
+
+
+def animate(path: Path, frames: list[Image.Image], delay: int) -> None:
+    """Write frames as an animated GIF that repeats, with one palette for all, and a delay [ms]."""
     sample = Image.new("RGB", (frames[0].width, 3 * frames[0].height))
     for k in range(3):
         sample.paste(frames[k * len(frames) // 3], (0, k * frames[0].height))
@@ -358,7 +427,6 @@ def animate(path: Path) -> None:
     reduced = [frame.quantize(palette=colors, dither=Image.Dither.NONE) for frame in frames]
     for frame in reduced:
         frame.putpalette(entries.ravel().tolist())
-    delay = round(1e3 * CYCLE)
     reduced[0].save(path, save_all=True, append_images=reduced[1:], duration=delay, loop=0, optimize=True)
 
 
@@ -387,6 +455,7 @@ EXAMPLES = {
     "14_your_own_controller": "out/your_own_controller/comparison.png",
     "15_your_own_constraint": "out/your_own_constraint/angles.png",
     "16_weight": "out/weight/straight.png",
+    "19_wrap": "out/wrap/lifted.png",
 }
 """The figure that each example of the tutorial saves."""
 
@@ -466,8 +535,10 @@ def draw(name: str, folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES, *ANIMATIONS, "dragging"):
+    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES, *ANIMATIONS, "dragging", "wrapping"):
         if wanted == "dragging":
-            animate(HERE / "dragging.gif")
+            animate(HERE / "dragging.gif", dragging(), round(1e3 * CYCLE))
+        elif wanted == "wrapping":
+            animate(HERE / "wrapping.gif", wrapping(), 80)
         else:
             draw(wanted, HERE / "pictures")

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
         plan,
         retime,
     )
-    from pinposture.control.hold import Hold, assess_hold
+    from pinposture.control.hold import Hold, Support, assess_hold, assess_support
     from pinposture.control.reach import ReachedPosture, reach
     from pinposture.curve import Curve
     from pinposture.errors import PostureError, PostureWarning
@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from pinposture.task.perform import move_through, perform
     from pinposture.task.phases import Phase, TipGoal, Withdrawal
     from pinposture.task.task import Task
+    from pinposture.task.wrap import Grip, carry, unwrap, wrap
     from pinposture.viz import animate, plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"
@@ -87,6 +88,7 @@ __all__ = [
     "EndEffector",
     "Feasibility",
     "Geodesic",
+    "Grip",
     "HalfSpace",
     "Hold",
     "JointLimits",
@@ -112,6 +114,7 @@ __all__ = [
     "Selection",
     "Sphere",
     "Step",
+    "Support",
     "Switching",
     "Tangents",
     "Target",
@@ -124,6 +127,8 @@ __all__ = [
     "Withdrawal",
     "animate",
     "assess_hold",
+    "assess_support",
+    "carry",
     "curve_around",
     "find_path",
     "fit_points",
@@ -147,8 +152,10 @@ __all__ = [
     "template",
     "track",
     "track_many",
+    "unwrap",
     "view",
     "weigh",
+    "wrap",
 ]
 
 # Everything is imported when it is first asked for: who plans needs no matplotlib, who draws no solver.
@@ -175,10 +182,12 @@ _PACKAGES = {
         "ReachedPosture",
         "Selection",
         "Step",
+        "Support",
         "Switching",
         "Tangents",
         "TimedPath",
         "assess_hold",
+        "assess_support",
         "follow",
         "plan",
         "reach",
@@ -215,6 +224,10 @@ _PACKAGES = {
     ),
     "placement": ("PointFilter", "Target", "fit_points", "resolve_targets"),
     "task": (
+        "Grip",
+        "carry",
+        "unwrap",
+        "wrap",
         "Keyframe",
         "Leader",
         "Phase",

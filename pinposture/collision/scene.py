@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -157,7 +157,7 @@ class Scene(Declared):
     velocities: Annotated[_Velocities, AfterValidator(_require_known_names), _ReadOnly] = field(
         default_factory=dict
     )
-    touchable: Annotated[tuple[str, ...], CheckedBy(_as_names), AfterValidator(_require_known)] = ()
+    touchable: Annotated[Sequence[str], CheckedBy(_as_names), AfterValidator(_require_known)] = ()
 
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:

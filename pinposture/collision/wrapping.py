@@ -73,6 +73,25 @@ class WrappedBody(NamedTuple):
         return np.array(found)
 
 
+class Winding(NamedTuple):
+    """The part of a curve around an obstacle that winds about it.
+
+    Attributes:
+        body: the obstacle.
+        points: points of the curve, (n, 3) [m], world frame.
+        heading: direction of the curve at the first of them, (3,).
+    """
+
+    body: WrappedBody
+    points: Array
+    heading: Array
+
+    @property
+    def spacing(self) -> float:
+        """Distance between points [m]."""
+        return float(np.linalg.norm(self.points[1] - self.points[0]))
+
+
 class RoundedOutline:
     """The closed curve at a distance around the convex hull of points in a plane, counterclockwise.
 
@@ -186,8 +205,44 @@ def curve_around(
         InvalidValue: an obstacle of another kind, or an invalid number, which is named.
         CurveError: the way from the start to the obstacle, or the start, comes nearer than the gap.
     """
-    body = _body(obstacle, axis)
     gap = length("gap", gap, zero=True)
+    begin = as_vector("start", start)
+    first = _heading("direction", direction)
+    if float(_body(obstacle, axis).distances(begin[None])[0]) < gap:
+        raise CurveError("start", f"it is less than the gap of {length_text(gap)} away from the obstacle")
+    winding = winding_around(obstacle, begin, gap, turns, axis, pitch, first)
+    approach = _approach((begin, winding.points[0]), (first, winding.heading), winding.spacing)
+    nearest = float(winding.body.distances(approach).min())
+    if nearest < gap * (1.0 - GAP_TOLERANCE) - 1e-9:
+        near = f"the way to the obstacle comes {length_text(gap - nearest)} nearer to it than the gap"
+        raise CurveError("start", f"{near}; give another direction, axis, or sign of turns")
+    return Curve.points(np.vstack([approach, winding.points]))
+
+
+def winding_around(
+    obstacle: Obstacle,
+    start: Array,
+    gap: float,
+    turns: float,
+    axis: ArrayLike | None = None,
+    pitch: float | None = None,
+    heading: Array | None = None,
+) -> Winding:
+    """Return the part of a curve that winds around an obstacle, for the arguments of `curve_around`.
+
+    Args:
+        obstacle: the obstacle.
+        start: where the curve comes from, (3,) [m].
+        gap: distance from the surface [m].
+        turns: number of turns.
+        axis: direction of the axis.
+        pitch: advance along the axis in a turn [m].
+        heading: direction of the curve at the start, a unit vector, (3,).
+
+    Raises:
+        InvalidValue: as `curve_around`.
+    """
+    body = _body(obstacle, axis)
     allowed = f"a number other than 0, at most {MAX_TURNS:g} in size"
     turns = as_number("turns", turns, allowed, lambda x: 0.0 < abs(x) <= MAX_TURNS)
     reach = body.radius + gap
@@ -196,9 +251,6 @@ def curve_around(
     pitch = (
         DEFAULT_PITCH * gap if pitch is None else as_number("pitch", pitch, "a finite number [m]", isfinite)
     )
-    begin = as_vector("start", start)
-    if float(body.distances(begin[None])[0]) < gap:
-        raise CurveError("start", f"it is less than the gap of {length_text(gap)} away from the obstacle")
     frame = _frame(body.axis)
     if turns < 0.0:
         frame = frame * np.array([[1.0], [-1.0], [1.0]])  # mirrored
@@ -206,8 +258,7 @@ def curve_around(
     outline = RoundedOutline(local[:, :2], reach)
     middle = 0.5 * (local[:, 2].min() + local[:, 2].max())
     rise = pitch * abs(turns)
-    first = _heading("direction", direction)
-    touch = _touching(outline, frame @ begin, None if first is None else frame @ first)
+    touch = _touching(outline, frame @ start, None if heading is None else frame @ heading)
     total = abs(turns) * outline.perimeter
     step = 2.0 * np.pi * reach / SAMPLES_PER_ROUNDING
     count = int(np.ceil(total / step)) + 1
@@ -220,15 +271,7 @@ def curve_around(
     places, tangents = outline.at(touch + s)
     wound = np.column_stack([places, middle - 0.5 * rise + rise * s / total])
     onto = np.append(tangents[0], rise / total)
-    ends = frame @ begin, wound[0]
-    headings = None if first is None else frame @ first, onto / np.linalg.norm(onto)
-    approach = _approach(ends, headings, step)
-    points = np.vstack([approach, wound]) @ frame
-    nearest = float(body.distances(points[: len(approach)]).min())
-    if nearest < gap * (1.0 - GAP_TOLERANCE) - 1e-9:
-        near = f"the way to the obstacle comes {length_text(gap - nearest)} nearer to it than the gap"
-        raise CurveError("start", f"{near}; give another direction, axis, or sign of turns")
-    return Curve.points(points)
+    return Winding(body, wound @ frame, onto @ frame / np.linalg.norm(onto))
 
 
 def _body(obstacle: Obstacle, axis: ArrayLike | None) -> WrappedBody:

@@ -2,7 +2,7 @@
 
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Controller, Memory, Step
-from pinposture.control.hold import Hold, assess_hold
+from pinposture.control.hold import Hold, Support, assess_hold, assess_support
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBox
 from pinposture.control.planner.follow import GeodesicMemory, PathProgress, follow
@@ -44,12 +44,14 @@ __all__ = [
     "Selection",
     "Step",
     "StepBox",
+    "Support",
     "Switching",
     "Tangents",
     "TaskRows",
     "TimedPath",
     "active_set",
     "assess_hold",
+    "assess_support",
     "best_index",
     "candidate_sets",
     "controller_named",

@@ -1,11 +1,12 @@
-"""How well an arm holds an object that it touches: force closure, and the largest mass within its torques.
+"""What contacts carry: an object that an arm holds, or the arm itself where it leans on something.
 
 At each point of contact the arm can push within the cone of friction, here a pyramid inside of it. Forces and
-torques are linear in these pushes, so both questions are linear programs (SciPy's HiGHS).
+torques are linear in these pushes, so all questions are linear programs (SciPy's HiGHS).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
 
 from pinposture._validation import length, require_instance, require_known, require_positive
-from pinposture.arm import Arm
+from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.solids import z_along
 from pinposture.collision.weighing import solid_inertia
@@ -50,6 +51,78 @@ class Hold(NamedTuple):
     bodies: tuple[str, ...]
     closed: bool
     mass: float
+
+
+class Support(NamedTuple):
+    """How an arm leans on what it may touch.
+
+    Attributes:
+        points: points of contact on the obstacles, (c, 3) [m], world frame.
+        normals: unit vectors into the obstacles, (c, 3), world axes.
+        pairs: names of the body of the arm and of the obstacle there.
+        share: smallest possible largest share of a torque limit that holds the arm; at most 1 if the motors
+            can hold it.
+        alone: that share without contact.
+        torques: torques of the motors with that share, (nv,) [N m or N].
+    """
+
+    points: Array
+    normals: Array
+    pairs: tuple[tuple[str, str], ...]
+    share: float
+    alone: float
+    torques: Array
+
+
+def assess_support(
+    arm: Arm, q: ArrayLike, scene: Scene, friction: float = 1.0, within: float = 1e-3
+) -> Support:
+    """Tell how far the obstacles that an arm touches relieve its motors.
+
+        support = pp.assess_support(arm, q, scene, friction=0.5)
+        support.alone, support.share
+
+    Obstacles carry the arm where it touches them, if the scene says that it may (`Scene.touchable`). It takes
+    one point of contact for each body of the arm and each obstacle. Of all forces that friction admits, it
+    takes those with which the motors need the smallest share of their limits: at rest the arm can be held so.
+    Which forces really act is up to the commands and to the stiffness of arm and obstacles.
+
+    Args:
+        arm: the arm.
+        q: its configuration, (nq,).
+        scene: the scene, with touchable obstacles.
+        friction: coefficient of friction between arm and obstacles.
+        within: largest distance of bodies that count as in contact [m].
+
+    Raises:
+        InvalidValue: an argument of the wrong type, or an invalid number.
+        WeightUnknown: masses of the arm, or torque limits, that are not known.
+    """
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("scene", scene, Scene, "a Scene")
+    arm.require_effort()
+    friction = require_positive("friction", friction, zero=True)
+    within = length("within", within, zero=True)
+    state = arm.at(arm.checked(q, "q"))
+    touched = _contacts(state, scene, scene.touchable, within)
+    holding = np.array(state.gravity_torques)
+    torques = _torques(arm, state.q, touched, _pyramids(touched.normals, friction))
+    limited = np.isfinite(arm.effort)
+    effort = arm.effort[limited]
+    alone = float(np.max(np.abs(holding[limited]) / effort, initial=0.0))
+    needed = np.vstack([torques[limited], -torques[limited]]) / np.tile(effort, 2)[:, None]
+    own = np.concatenate([holding[limited], -holding[limited]]) / np.tile(effort, 2)
+    count = torques.shape[1]
+    found = linprog(
+        np.eye(count + 1)[-1],
+        A_ub=np.column_stack([needed, -np.ones(len(own))]),
+        b_ub=-own,
+        bounds=(0.0, None),
+    )
+    if not found.success:
+        return Support(touched.points, touched.normals, touched.pairs, alone, alone, holding)
+    relieved = holding + torques @ found.x[:-1]
+    return Support(touched.points, touched.normals, touched.pairs, float(found.x[-1]), alone, relieved)
 
 
 def assess_hold(
@@ -88,20 +161,43 @@ def assess_hold(
     friction = require_positive("friction", friction, zero=True)
     within = length("within", within, zero=True)
     state = arm.at(arm.checked(q, "q"))
-    model = CollisionModel(arm, replace(scene, touchable=()))
-    near = model.nearest(state, within)
-    chosen = [k for k, pair in enumerate(near.pairs) if pair[1] == obstacle]
-    normals = -near.normals[chosen]
-    points = near.points[chosen] + near.distances[chosen][:, None] * normals
-    bodies = tuple(near.pairs[k][0] for k in chosen)
-    joints = [model.solids[model.index_pairs[number][0]][0] for number in near.numbers[chosen]]
-    pushes = np.array([_pyramid(normal, friction) for normal in normals]).reshape(-1, EDGES, 3)
+    touched = _contacts(state, scene, [obstacle], within)
+    pushes = _pyramids(touched.normals, friction)
     middle = np.array(solid_inertia(shape.solid()).lever)
-    wrenches = np.concatenate([pushes, np.cross((points - middle)[:, None], pushes)], axis=2)
+    wrenches = np.concatenate([pushes, np.cross((touched.points - middle)[:, None], pushes)], axis=2)
     wrenches = wrenches.reshape(-1, 6).T
-    torques = _torques(arm, state.q, joints, points, pushes)
+    torques = _torques(arm, state.q, touched, pushes)
     held = _largest_mass(arm, state.gravity_torques, wrenches, torques)
-    return Hold(points, normals, bodies, _is_closed(wrenches), held)
+    bodies = tuple(body for body, _ in touched.pairs)
+    return Hold(touched.points, touched.normals, bodies, _is_closed(wrenches), held)
+
+
+class _Touched(NamedTuple):
+    """Contacts of an arm: points and normals as of a `Hold`, pairs of names, and the joints."""
+
+    points: Array
+    normals: Array
+    pairs: tuple[tuple[str, str], ...]
+    joints: list[int]
+
+
+def _contacts(state: ArmState, scene: Scene, obstacles: Sequence[str], within: float) -> _Touched:
+    """Return the contacts with some obstacles, up to a distance [m]; each body touches each in one point."""
+    model = CollisionModel(state.arm, replace(scene, touchable=()))
+    near = model.nearest(state, within)
+    chosen = [k for k, pair in enumerate(near.pairs) if pair[1] in obstacles]
+    normals = -near.normals[chosen]
+    return _Touched(
+        points=near.points[chosen] + near.distances[chosen][:, None] * normals,
+        normals=normals,
+        pairs=tuple(near.pairs[k] for k in chosen),
+        joints=[model.solids[model.index_pairs[number][0]][0] for number in near.numbers[chosen]],
+    )
+
+
+def _pyramids(normals: Array, friction: float) -> Array:
+    """Return the pyramids of contacts with normals, (c, 3), as (c, EDGES, 3)."""
+    return np.array([_pyramid(normal, friction) for normal in normals]).reshape(-1, EDGES, 3)
 
 
 def _pyramid(normal: Array, friction: float) -> Array:
@@ -111,12 +207,12 @@ def _pyramid(normal: Array, friction: float) -> Array:
     return np.asarray(normal + friction * across)
 
 
-def _torques(arm: Arm, q: Array, joints: list[int], points: Array, pushes: Array) -> Array:
+def _torques(arm: Arm, q: Array, touched: _Touched, pushes: Array) -> Array:
     """Return the torques of the motors per push at points that joints carry, (nv, c EDGES)."""
     data = arm.model.createData()
     pin.computeJointJacobians(arm.model, data, q)
     columns = [np.zeros((arm.nv, 0))]
-    for joint, point, edges in zip(joints, points, pushes, strict=True):
+    for joint, point, edges in zip(touched.joints, touched.points, pushes, strict=True):
         whole = pin.getJointJacobian(arm.model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         whole = whole.reshape(6, arm.nv)  # of one joint it is flat
         lever = point - data.oMi[joint].translation

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -35,6 +36,10 @@ MOST_ROWS = 10_000_000
 """Most rows of a resampled trajectory: 5 GB at 20 joints."""
 MAX_NAMED = 6
 """Largest number of joints that are listed in a message."""
+
+LARGEST_JUMP = 1e-6
+"""Largest distance between the end of a motion and the start of one that is joined to it [rad or m]; motions
+that are planned from each other meet to 1e-9."""
 
 TIME_TOLERANCE = 1e-9
 """Relative difference of durations that count as equal."""
@@ -357,6 +362,42 @@ class JointTrajectory:
         units = joint_units(arm)
         rows = unwrap_positions(arm, q)
         return cls.from_positions(arm.joint_names, rows, time, units, str(arm.model.name)).driven(arm)
+
+    @classmethod
+    def joined(cls, motions: Sequence[JointTrajectory]) -> JointTrajectory:
+        """Return motions one after the other, each beginning at rest where the one before ends at rest.
+
+        In between the arm rests for as long as the last step took, so that the change of speed at the end of
+        a motion and that at the start of the next one do not add up.
+
+        Args:
+            motions: one or more motions of the same joints.
+
+        Raises:
+            InvalidValue: no motions, or motions of other joints, or that begin elsewhere.
+        """
+        require_instance("motions", motions, Sequence, "a list of joint trajectories")
+        if not motions:
+            raise InvalidValue("motions", motions, "at least one joint trajectory")
+        for k, each in enumerate(motions):
+            require_instance(f"motions[{k}]", each, JointTrajectory, "a JointTrajectory")
+            if each.joint_names != motions[0].joint_names:
+                raise InvalidValue(f"motions[{k}] (joints)", each.joint_names, f"{motions[0].joint_names}")
+        times = [motions[0].time]
+        for k, (before, after) in enumerate(pairwise(motions), start=1):
+            jump = float(np.abs(after.positions[0] - before.positions[-1]).max())
+            if jump > LARGEST_JUMP:
+                allowed = f"at most {LARGEST_JUMP:g} from the end of the one before"
+                raise InvalidValue(f"motions[{k}] (start)", jump, allowed)
+            rest = float(np.diff(before.time[-2:]).sum())
+            times.append(times[-1][-1] + rest + after.time - after.time[0])
+        return replace(
+            motions[0],
+            time=np.concatenate(times),
+            positions=np.vstack([each.positions for each in motions]),
+            velocities=np.vstack([each.velocities for each in motions]),
+            accelerations=np.vstack([each.accelerations for each in motions]),
+        )
 
     @property
     def duration(self) -> float:

@@ -326,7 +326,7 @@ def build_plant_model(
         torque_limits=servos.limits(effort),
         warnings=corrections,
         contact=contact,
-        touchable=() if scene is None else scene.touchable,
+        touchable=() if scene is None else tuple(scene.touchable),
     )
 
 

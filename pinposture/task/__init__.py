@@ -8,9 +8,11 @@ from pinposture.task.perform import move_through, perform
 from pinposture.task.phases import Phase, TipGoal, Withdrawal
 from pinposture.task.reference import Reference, Waypoint
 from pinposture.task.task import Task
+from pinposture.task.wrap import Grip, carry, unwrap, wrap
 
 __all__ = [
     "Deviation",
+    "Grip",
     "Keyframe",
     "Leader",
     "Phase",
@@ -19,10 +21,13 @@ __all__ = [
     "TipGoal",
     "Waypoint",
     "Withdrawal",
+    "carry",
     "find_path",
     "follow_leader",
     "keyframe_reference",
     "move_through",
     "path_deviation",
     "perform",
+    "unwrap",
+    "wrap",
 ]

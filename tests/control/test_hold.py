@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, UnknownName, WeightUnknown
 
 RADIUS = 0.01
 
@@ -72,3 +72,53 @@ def test_what_is_not_touched_is_not_held():
         pp.assess_hold(arm, arm.straight(), scene, "can")
     with pytest.raises(InvalidValue, match="floor"):
         pp.assess_hold(arm, arm.straight(), scene, "floor")
+
+
+def hinged(count: int) -> pp.Arm:
+    """Level bars that turn up and down."""
+    bar = pp.ModuleTemplate("Bar", [pp.JointSpec("y")], [0.3])
+    return pp.Arm.from_modules([bar] * count).with_effort(2.0)
+
+
+def beside(x: float, side: float, **options) -> pp.Scene:
+    """A ball under the arm, or above it, which it touches."""
+    ball = pp.Sphere((x, 0.0, side * (RADIUS + 0.03)), 0.03)
+    return pp.Scene({"ball": ball}, arm_radius=RADIUS, self_collision=False, **options)
+
+
+def test_a_support_relieves_a_joint_of_all_its_torque():
+    arm = hinged(1)
+    support = pp.assess_support(arm, arm.straight(), beside(0.2, -1.0, touchable=["ball"]), friction=0.0)
+    needed = abs(arm.at(arm.straight()).gravity_torques[0])
+    assert support.alone == pytest.approx(needed / 2.0, rel=1e-9)
+    assert support.share == pytest.approx(0.0, abs=1e-9)
+    assert support.torques == pytest.approx([0.0], abs=1e-9)
+    np.testing.assert_allclose(support.normals, [[0, 0, -1]], atol=1e-9)
+    assert [other for _, other in support.pairs] == ["ball"]
+
+
+@pytest.mark.parametrize("x", [0.2, 0.4, 0.55])
+def test_the_best_force_of_a_support_is_that_of_an_enumeration(x):
+    arm = hinged(2)
+    support = pp.assess_support(arm, arm.straight(), beside(x, -1.0, touchable=["ball"]), friction=0.0)
+    needed = np.array(arm.at(arm.straight()).gravity_torques)
+    levers = np.array([x, max(x - 0.3, 0.0)])  # from each joint to the force; beyond the joint it has none
+    forces = np.linspace(0.0, 20.0, 200_001)
+    left = np.abs(np.abs(needed) - forces[:, None] * levers).max(axis=1) / 2.0
+    assert support.share == pytest.approx(left.min(), abs=1e-4)
+    assert support.share < support.alone
+    assert np.abs(support.torques).max() / 2.0 == pytest.approx(support.share, abs=1e-9)
+
+
+def test_what_is_above_not_touchable_or_away_supports_nothing():
+    arm = hinged(2)
+    for scene in (
+        beside(0.4, 1.0, touchable=["ball"]),
+        beside(0.4, -1.0),
+        beside(0.4, -1.2, touchable=["ball"]),
+    ):
+        support = pp.assess_support(arm, arm.straight(), scene, friction=0.0)
+        assert support.share == pytest.approx(support.alone, rel=1e-9)
+        np.testing.assert_allclose(support.torques, arm.at(arm.straight()).gravity_torques, atol=1e-9)
+    with pytest.raises(WeightUnknown):
+        pp.assess_support(level(2), level(2).straight(), beside(0.4, -1.0, touchable=["ball"]))

@@ -36,7 +36,7 @@ def test_each_picture_is_made_by_the_script_small_and_shown_somewhere(script: di
 
 def test_every_other_picture_is_shown_and_has_a_command_that_draws_it(script: dict[str, Any]) -> None:
     beside = {path.name for kind in ("png", "gif", "svg", "jpg") for path in DOCS.glob(f"*.{kind}")}
-    assert beside == {*script["MEASURED"], "dragging.gif"}
+    assert beside == {*script["MEASURED"], "dragging.gif", "wrapping.gif"}
     pages = "".join(path.read_text() for path in (DOCS.parent / "README.md", *DOCS.rglob("*.md")))
     for name in beside:
         assert re.search(rf"[(/]{re.escape(name)}\)", pages)
@@ -61,6 +61,16 @@ def test_the_drag_can_be_drawn_and_is_what_is_kept(script: dict[str, Any]) -> No
             kept.seek(k)
             difference = np.asarray(frame.convert("L"), float) - np.asarray(kept.convert("L"), float)
             assert np.abs(difference).mean() < 3.0
+
+
+@pytest.mark.pictures
+def test_the_wrap_can_be_drawn_and_is_what_is_kept(script: dict[str, Any]) -> None:
+    pytest.importorskip("mujoco")
+    (drawn,) = script["wrapping"](1)
+    with Image.open(DOCS / "wrapping.gif") as kept:
+        assert kept.n_frames > 60
+        difference = np.asarray(drawn.convert("L"), float) - np.asarray(kept.convert("L"), float)
+        assert np.abs(difference).mean() < 3.0
 
 
 @pytest.mark.pictures

@@ -51,7 +51,7 @@ def test_the_step_shows_all_code_of_its_example(example: Path) -> None:
 def test_the_example_runs_and_prints_what_the_step_says(
     example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
-    if example.stem in ("08_physics", "13_tendon_arm", "17_sag", "18_contact"):
+    if example.stem in ("08_physics", "13_tendon_arm", "17_sag", "18_contact", "19_wrap"):
         pytest.importorskip("mujoco")
     if example.stem == "11_edit_a_task":
         pytest.importorskip("viser")

@@ -1,0 +1,488 @@
+"""Wrap an arm around an object, carry the object, and let go of it.
+
+The last modules of the arm hold the object, the others move it. The frame at the end of the last free module
+stands where a curve around the object begins, along the curve. From there, the wrapped modules first stand
+off straight, which is a tangent of the object, and then bend onto the curve; while all bend in proportion,
+they are on curves of larger radius with the same tangent, so the arm closes from outside. The object is
+carried as the free modules move that frame, while the wrapped ones stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import MappingProxyType
+from typing import NamedTuple, cast
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import (
+    SMALLEST_LENGTH,
+    as_number,
+    make_read_only,
+    point,
+    require_instance,
+    require_known,
+    require_positive,
+)
+from pinposture.arm import Arm
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.bodies import bodies_of
+from pinposture.collision.wrapping import MAX_TURNS, Winding, winding_around
+from pinposture.control import EndEffector, Hold, JointPath, Limits, Objective, assess_hold, plan, retime
+from pinposture.control.limits import cycle_of
+from pinposture.control.reach import bring_to_goal
+from pinposture.control.tasks import link_axes
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue, TargetError, TaskError
+from pinposture.motion import JointTrajectory
+from pinposture.placement import Target, resolve_targets
+from pinposture.placement.target import arm_axis
+from pinposture.units import length_text
+
+Array = NDArray[np.float64]
+
+PITCH = 3.0
+"""Advance of a turn in radii of the arm: where it squeezes, turns are still half a radius apart."""
+
+TOUCHES = 2e-4
+GAP_CORRECTIONS = 5
+"""Distance from the object, or overlap with it, at which the wrapped arm counts as touching, in arm lengths,
+and the largest number of gaps that are tried. Arms of equal pieces needed one or two around cylinders and
+capsules, other arms three; around a box the distance stays about 1e-4, as the last modules change places."""
+
+WITHIN = 2e-3
+"""Distance of bodies that count as in contact in the assessment of a hold, in arm lengths."""
+
+REACHED = 1e-5
+"""Distance of a frame from its goal that counts as reached, in arm lengths."""
+
+STEPS_PER_MODULE = 2
+"""Postures for each module that is wound, one after the other."""
+
+SEED_BENDS = 0.3, -0.3
+"""Bends of the free modules in postures that the search for the first frame starts from, one period of a
+cosine, in `Arm.joint_units`. With a third or twice of these it ended in the same posture, to 1e-3 rad."""
+
+CARRY_STEP = 0.01
+LARGEST_TURN = 0.3
+"""Displacement between postures while an object is carried, in arm lengths, and the joint motion between two
+of them that counts as a jump to another posture [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """An arm that is wrapped around an object, and the motions that lead there.
+
+    Attributes:
+        arm: the arm.
+        scene: the obstacles; the object is where it is after the motions.
+        obstacle: name of the object.
+        limits: the limits of the motions.
+        friction: coefficient of friction between arm and object.
+        first: index of the control point where the wrap begins, the last that is free, 0-based.
+        opened: configuration in which the wrapped modules stand off, (nq,).
+        winding: displacements from it to the wrap, the first of which is zero, (r, nv) [rad or m].
+        touching: configuration in which all wrapped modules touch the object, (nq,).
+        held: configuration to command for the arm to squeeze, (nq,).
+        displacement: displacement of the object since the scene was first described.
+        phases: the motions by name, each from rest to rest: "approach", "wind" and "squeeze", or "carry".
+        hold: how well the arm holds the object.
+    """
+
+    arm: Arm
+    scene: Scene
+    obstacle: str
+    limits: Limits
+    friction: float
+    first: int
+    opened: Array
+    winding: Array
+    touching: Array
+    held: Array
+    displacement: pin.SE3
+    phases: Mapping[str, JointTrajectory]
+    hold: Hold
+
+    def __post_init__(self) -> None:
+        make_read_only(*vars(self).values())
+
+    def __repr__(self) -> str:
+        count = self.arm.n_modules - self.first - 1
+        closed = "force closure" if self.hold.closed else "no force closure"
+        return f"Grip({self.obstacle}, {count} modules, {closed}, up to {self.hold.mass:.3g} kg)"
+
+    @property
+    def motion(self) -> JointTrajectory:
+        """All phases in one motion."""
+        return JointTrajectory.joined(tuple(self.phases.values()))
+
+
+def wrap(
+    arm: Arm,
+    obstacle: str,
+    scene: Scene,
+    q0: ArrayLike,
+    limits: Limits,
+    *,
+    turns: float = 1.0,
+    friction: float = 1.0,
+    squeeze: float = 0.1,
+) -> Grip:
+    """Plan how an arm wraps around an object and squeezes it.
+
+        scene = pp.Scene({"can": can}, touchable=["can"])
+        limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=4.0)
+        grip = pp.wrap(arm, "can", scene, q0, limits, turns=1.0, friction=0.5)
+        grip.hold.mass
+        ended = sim.simulate(arm, grip.motion, scene=scene, contact=sim.ContactModel(masses={"can": 0.3}))
+
+    The arm goes to a posture in which its free modules bring it to the object along a tangent, with the
+    others straight (`plan`, clear of the scene). Then these bend around the object, all at once if that is
+    clear, else one after the other, and on beyond contact: the drives then press with what their stiffness
+    and their torque limits give. The curve is that of `curve_around`, from the side on which the base stands.
+
+    Args:
+        arm: the arm.
+        obstacle: name of the object: a sphere, capsule, cylinder, box or mesh, which is touchable.
+        scene: the obstacles.
+        q0: the configuration at first, (nq,).
+        limits: limits of the motions, with `dt` and `acceleration`.
+        turns: number of turns about the axis of the object, rounded up to whole modules; counterclockwise
+            seen from the tip of the axis, negative: clockwise.
+        friction: coefficient of friction, for the assessment of the hold.
+        squeeze: share by which the wrapped joints are commanded to bend further than where they touch.
+
+    Raises:
+        UnknownName: there is no such obstacle.
+        InvalidValue: an obstacle that is not touchable or cannot be wrapped, or an invalid argument.
+        TaskError: the arm does not get around the object; says where and why.
+        WeightUnknown: masses of the arm that are not known.
+    """
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("scene", scene, Scene, "a Scene(...)")
+    require_known("obstacle", obstacle, scene.obstacles)
+    if obstacle not in scene.touchable:
+        raise InvalidValue(
+            "obstacle", obstacle, f"one that may be touched: Scene(..., touchable=[{obstacle!r}])"
+        )
+    start = arm.checked_start(q0, "q0")
+    cycle_of(limits)
+    if limits.acceleration is None:
+        raise InvalidValue("limits.acceleration", None, "a limit of acceleration")
+    turns = as_number("turns", turns, "a number other than 0", lambda x: 0.0 < abs(x) <= MAX_TURNS)
+    require_positive("friction", friction, zero=True)
+    squeeze = as_number("squeeze", squeeze, "a share from 0 to 1", lambda x: 0.0 <= x <= 1.0)
+    found = _Wrap(arm, obstacle, scene, turns).find(start)
+    way = found.winding
+    touching = arm.integrate(found.opened, way[-1])
+    held = _within_limits(arm, arm.integrate(found.opened, (1.0 + squeeze) * way[-1]))
+    approach = plan(arm.at(start), Target.from_configuration(arm, found.opened), scene, limits)
+    if approach.blocked_by:
+        raise TaskError(_where(obstacle), f"the way to where it begins is blocked: {approach.blocked_by}")
+    phases = {
+        "wind": _motion(arm, arm.integrate(found.opened, way), limits),
+        "squeeze": _motion(arm, np.array([touching, held]), limits),
+    }
+    if approach.length > 0.0:
+        phases = {"approach": _timed(approach, limits), **phases}
+    return Grip(
+        arm=arm,
+        scene=scene,
+        obstacle=obstacle,
+        limits=limits,
+        friction=float(friction),
+        first=found.first,
+        opened=found.opened,
+        winding=way,
+        touching=touching,
+        held=held,
+        displacement=pin.SE3.Identity(),
+        phases=MappingProxyType(phases),
+        hold=assess_hold(arm, touching, scene, obstacle, friction, WITHIN * arm.length),
+    )
+
+
+def carry(grip: Grip, displacement: pin.SE3 | ArrayLike) -> Grip:
+    """Plan how an arm carries the object that it holds, along a straight line.
+
+        lifted = pp.carry(grip, (0, 0, 0.2))
+
+    The free modules move the frame where the wrap begins; the wrapped ones stay as they are. The arm is kept
+    clear of the scene; whether the object is, is not checked, as it usually stands on something.
+
+    Args:
+        grip: the arm and the object.
+        displacement: of the object from where it is, a translation, (3,) [m], or a `pin.SE3`, world frame.
+
+    Returns:
+        The grip at the other place, with the motion there.
+
+    Raises:
+        InvalidValue: not a grip, or an invalid displacement.
+        TaskError: the arm does not get there; says how far it gets, and why not farther.
+    """
+    require_instance("grip", grip, Grip, "a Grip, as pp.wrap(...) returns it")
+    arm = grip.arm
+    motion = displacement
+    if not isinstance(displacement, pin.SE3):
+        motion = pin.SE3(np.eye(3), np.array(point("displacement", displacement)))
+    middle = grip.scene.obstacles[grip.obstacle].pose(np.zeros(3)).translation
+    state = arm.chain_at(grip.held)
+    frame = pin.SE3(np.array(state.rotations[grip.first]), np.array(state.points[grip.first]))
+    loose = arm.difference(grip.held, grip.touching)
+    rows = [grip.held]
+    for share, moved in _displacements(motion, middle, arm.length):
+        state, error = bring_to_goal(arm, EndEffector(pose=moved * frame, point=grip.first), state)
+        step = np.abs(arm.difference(rows[-1], state.q))
+        scene = grip.scene.moved({grip.obstacle: moved * grip.displacement})
+        closest = CollisionModel(arm, scene).minimum(arm.integrate(state.q, loose))
+        why = ""
+        if error > REACHED * arm.length or step.max() > LARGEST_TURN:
+            why = "the free modules do not get farther"
+        elif closest.pair is not None and closest.distance < scene.margin:
+            why = f"{closest.pair[0]} comes within the margin of {closest.pair[1]}"
+        if why:
+            raise TaskError(f"carry {grip.obstacle!r}", f"{100.0 * share:.0f} % of the way: {why}")
+        rows.append(state.q)
+    held = rows[-1]
+    touching = arm.integrate(held, loose)
+    return replace(
+        grip,
+        scene=scene,
+        opened=arm.integrate(touching, -grip.winding[-1]),
+        touching=touching,
+        held=held,
+        displacement=motion * grip.displacement,
+        phases=MappingProxyType({"carry": _motion(arm, np.array(rows), grip.limits)}),
+        hold=assess_hold(arm, touching, scene, grip.obstacle, grip.friction, WITHIN * arm.length),
+    )
+
+
+def unwrap(grip: Grip, q_end: ArrayLike | None = None) -> JointTrajectory:
+    """Plan how an arm lets go of the object that it holds, and withdraws.
+
+    Args:
+        grip: the arm and the object.
+        q_end: where the arm goes then, clear of the scene, (nq,); None: it stays as it stands off.
+
+    Raises:
+        InvalidValue: not a grip, or an invalid configuration.
+        TaskError: the way from the object is blocked; says by what.
+    """
+    require_instance("grip", grip, Grip, "a Grip, as pp.wrap(...) returns it")
+    arm = grip.arm
+    way = arm.integrate(grip.opened, grip.winding)
+    release = _motion(arm, np.vstack([grip.held[None], way[::-1]]), grip.limits)
+    if q_end is None:
+        return release
+    end = arm.checked_start(q_end, "q_end")
+    path = plan(arm.at(grip.opened), Target.from_configuration(arm, end), grip.scene, grip.limits)
+    if path.blocked_by:
+        raise TaskError(f"unwrap {grip.obstacle!r}", f"the way from it is blocked: {path.blocked_by}")
+    if path.length == 0.0:
+        return release
+    return JointTrajectory.joined([release, _timed(path, grip.limits)])
+
+
+def _where(obstacle: str) -> str:
+    return f"wrap around {obstacle!r}"
+
+
+def _within_limits(arm: Arm, q: Array) -> Array:
+    """Return a configuration with its joints inside their limits, (nq,)."""
+    inside = np.minimum(np.maximum(arm.positions(q), arm.limits.lower), arm.limits.upper)
+    return np.asarray(arm.configuration(inside))
+
+
+def _displacements(motion: pin.SE3, middle: Array, size: float) -> Iterator[tuple[float, pin.SE3]]:
+    """Yield shares of a displacement, and each as a displacement: its middle, (3,) [m], goes straight."""
+    turn = pin.log3(motion.rotation)
+    way = motion.act(middle) - middle
+    far = float(np.linalg.norm(way)) / size + float(np.linalg.norm(turn))
+    count = max(2, int(np.ceil(far / CARRY_STEP)))
+    for share in np.arange(1, count + 1) / count:
+        rotation = pin.exp3(share * turn)
+        yield float(share), pin.SE3(rotation, middle + share * way - rotation @ middle)
+
+
+def _motion(arm: Arm, rows: Array, limits: Limits) -> JointTrajectory:
+    """Return the motion through configurations, (n, nq), at rest at both ends."""
+    objective = Objective(arm, Target.from_configuration(arm, rows[-1]))
+    return _timed(JointPath(objective, rows[0], _offsets(arm, rows)), limits)
+
+
+def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
+    """Return the displacements from the first of configurations to each, (r, nv) [rad or m]."""
+    steps = [arm.difference(one, other) for one, other in pairwise(rows)]
+    return np.vstack([np.zeros(arm.nv), np.cumsum(steps, axis=0)])
+
+
+def _timed(path: JointPath, limits: Limits) -> JointTrajectory:
+    """Return the motion along a path."""
+    places = retime(path, limits).places
+    rows = path.arm.integrate(path.start, path.smooth_offset(places))
+    return JointTrajectory.from_configurations(path.arm, rows, cycle_of(limits))
+
+
+class _Found(NamedTuple):
+    """Where a wrap begins, and the way around the object; see `Grip`."""
+
+    first: int
+    opened: Array
+    winding: Array
+
+
+class _Wrap:
+    """The search for the wrap of an arm around an object."""
+
+    def __init__(self, arm: Arm, obstacle: str, scene: Scene, turns: float) -> None:
+        self.arm = arm
+        self.obstacle = obstacle
+        self.scene = scene
+        self.turns = turns
+        self.model = CollisionModel(arm, scene)
+        self.where = _where(obstacle)
+
+    def find(self, start: Array) -> _Found:
+        """Find the wrap; a posture like the start, (nq,), is preferred."""
+        arm = self.arm
+        gap = max(each.shape.solid().radius for each in bodies_of(arm, self.scene.arm_radius))
+        shape = self.scene.obstacles[self.obstacle]
+        for _ in range(GAP_CORRECTIONS):
+            winding = winding_around(
+                shape, arm.chain.base, gap, self.turns, pitch=PITCH * gap, heading=arm_axis(arm)
+            )
+            first = self._last_free(winding)
+            opened = self._opened(winding, first, start)
+            way = self._wind(winding, first, opened)
+            overlap = -self._distance(arm.integrate(opened, way[-1]))
+            if abs(overlap) <= TOUCHES * arm.length:
+                return _Found(first, opened, self._clear(opened, way))
+            gap += overlap
+        raise TaskError(self.where, f"the arm is {length_text(abs(overlap))} off where it would touch")
+
+    def _last_free(self, winding: Winding) -> int:
+        """Return the index of the last control point that is not wrapped."""
+        arm = self.arm
+        lengths = arm.chain.module_lengths
+        needed = float(np.linalg.norm(np.diff(winding.points, axis=0), axis=1).sum())
+        wrapped = 1 + int(np.searchsorted(np.cumsum(lengths[::-1]), needed))
+        if wrapped >= arm.n_modules:
+            most = length_text(float(lengths[1:].sum()))
+            reason = f"the turns are {length_text(needed)} long, and all modules but one {most}"
+            raise TaskError(self.where, reason)
+        return arm.n_modules - wrapped - 1
+
+    def _opened(self, winding: Winding, first: int, start: Array) -> Array:
+        """Return the posture in which the wrapped modules are a straight tangent."""
+        arm = self.arm
+        x = winding.heading
+        z = winding.body.axis - (winding.body.axis @ x) * x
+        z /= np.linalg.norm(z)
+        upright = np.column_stack([x, np.cross(z, x), z])
+        # The link that ends there lies along the tangent.
+        along = pin.Quaternion.FromTwoVectors(link_axes(arm).links[first], np.eye(3)[0]).matrix()
+        frame = pin.SE3(upright @ along, winding.points[0])
+        task = EndEffector(pose=frame, point=first)
+        found = []
+        missed = []
+        blocked = []
+        for seed in self._seeds(first, start):
+            state, error = bring_to_goal(arm, task, arm.chain_at(seed))
+            q = self._straightened(state.q, first)
+            closest = self.model.minimum(q)
+            if error > REACHED * arm.length:
+                missed.append(error)
+            elif closest.pair is not None and closest.distance < self.scene.margin:
+                blocked.append(closest)
+            else:
+                found.append(q)
+        if not found and blocked:
+            best = max(blocked, key=lambda each: each.distance)
+            reason = f"where it begins, {' '.join(best.pair or ())} are too close"
+            raise TaskError(self.where, reason)
+        if not found:
+            away = length_text(float(np.linalg.norm(winding.points[0] - arm.chain.base)))
+            near = length_text(min(missed))
+            reason = f"it begins {away} from the base, and the {first + 1} free modules miss that by {near}"
+            raise TaskError(self.where, reason)
+        straight = arm.straight()
+        return min(found, key=lambda q: float(np.linalg.norm(arm.difference(straight, q))))
+
+    def _straightened(self, q: Array, first: int) -> Array:
+        """Return a configuration with the wrapped modules straight."""
+        arm = self.arm
+        straight = arm.straight()
+        offset = arm.difference(straight, q)
+        offset[arm.columns[arm.module_starts[first + 1] :]] = 0.0
+        return arm.integrate(straight, offset)
+
+    def _seeds(self, first: int, start: Array) -> Iterator[Array]:
+        """Yield postures for the search: the start, and arches of the free modules."""
+        arm = self.arm
+        yield self._straightened(start, first)
+        ends = np.append(arm.module_starts[1:], len(arm.columns))
+        shares = np.cos(2.0 * np.pi * (np.arange(first + 1) + 0.5) / (first + 1))
+        for bend in SEED_BENDS:
+            for axis in range(int((ends - arm.module_starts).max())):
+                offset = np.zeros(arm.nv)
+                for module in range(first + 1):
+                    column = arm.module_starts[module] + axis
+                    if column < ends[module]:
+                        offset[arm.columns[column]] = (
+                            bend * shares[module] * arm.joint_units[arm.columns[column]]
+                        )
+                yield _within_limits(arm, arm.integrate(arm.straight(), offset))
+
+    def _wind(self, winding: Winding, first: int, opened: Array) -> Array:
+        """Return displacements from the tangent to the wrap, module by module, (r, nv) [rad or m]."""
+        arm = self.arm
+        state = arm.at(opened)
+        line = state.links
+        last = int(np.linalg.norm(line - state.points[first], axis=1).argmin())
+        apart = np.linalg.norm(np.diff(line[: last + 1], axis=0), axis=1) > SMALLEST_LENGTH
+        kept = line[: last + 1][np.append(True, apart)]
+        near = Target.from_configuration(arm, opened)
+        wrapped = float(arm.chain.module_lengths[first + 1 :].sum())
+        steps = STEPS_PER_MODULE * (arm.n_modules - first - 1)
+        rows = [opened]
+        for share in np.arange(1, steps + 1) / steps:
+            wound = _continued(winding, share, wrapped)
+            try:
+                curve = Curve.points(np.vstack([kept, wound[1:]]))
+                near = resolve_targets(arm, curve, placement="as_is", method="closest", near=near)
+            except TargetError as error:
+                raise TaskError(self.where, f"the arm cannot follow it: {error}") from None
+            rows.append(cast(Array, near.q))
+        return _offsets(arm, rows)
+
+    def _distance(self, q: Array) -> float:
+        """Return the distance of the arm from the object [m], negative for overlap."""
+        near = self.model.nearest(self.arm.at(q), np.inf)
+        own = [float(near.distances[k]) for k, pair in enumerate(near.pairs) if pair[1] == self.obstacle]
+        return min(own) - self.scene.depth(self.obstacle)
+
+    def _clear(self, opened: Array, way: Array) -> Array:
+        """Return a way to the wrap that is clear: at once, or module by module."""
+        for tried in (way[[0, -1]], way):
+            closest = self.model.minimum_on_motions(opened, np.ascontiguousarray(tried))
+            if closest.distance >= self.scene.margin:
+                return tried
+        named = "" if closest.pair is None else f": {closest.pair[0]} comes too close to {closest.pair[1]}"
+        raise TaskError(self.where, f"the way around the object is not clear{named}")
+
+
+def _continued(winding: Winding, share: float, wrapped: float) -> Array:
+    """Return the part of a winding that is wound, and the tangent beyond it, for a wrapped length [m]."""
+    points = winding.points
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    end = share * lengths[-1]
+    s = np.append(lengths[lengths < end - SMALLEST_LENGTH], end)
+    cut = np.column_stack([np.interp(s, lengths, column) for column in points.T])
+    heading = cut[-1] - cut[-2] if len(cut) > 1 else winding.heading
+    beyond = np.arange(1.0, 1.1 * wrapped / winding.spacing) * winding.spacing
+    return np.vstack([cut, cut[-1] + beyond[:, None] * heading / np.linalg.norm(heading)])

@@ -1,0 +1,176 @@
+"""Wrapping around an object: where the arm touches, motions within limits, carrying, and refusals."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arms import template_arm
+
+import pinposture as pp
+from pinposture.errors import InvalidValue, TaskError, UnknownName
+
+LIMITS = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=2.0)
+CAN = pp.Cylinder((0.42, 0.12, -0.12), (0.42, 0.12, 0.12), 0.06)
+BOX = pp.Box((0.42, 0.12, 0.0), (0.1, 0.1, 0.24), (0.0, 0.0, 0.3))
+BALL = pp.Sphere((0.42, 0.12, 0.0), 0.07)
+
+
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 20).with_effort(5.0)
+
+
+def scene(obstacle) -> pp.Scene:
+    return pp.Scene({"it": obstacle, "floor": pp.HalfSpace((0, 0, -0.12), (0, 0, 1))}, touchable=["it"])
+
+
+@cache
+def grip(obstacle=CAN, turns=0.9) -> pp.Grip:
+    return pp.wrap(
+        arm(), "it", scene(obstacle), arm().straight(), LIMITS, turns=turns, friction=0.5, squeeze=0.1
+    )
+
+
+def overlap(held: pp.Grip, q: np.ndarray) -> float:
+    """How deep the arm is inside the object: the distance of a scene that does not know what is touchable."""
+    alone = pp.Scene({"it": held.scene.obstacles["it"]}, self_collision=False)
+    return -pp.CollisionModel(held.arm, alone).minimum(q).distance
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("obstacle", "turns"), [(CAN, 0.9), (CAN, -0.9), (BALL, 0.7)])
+def test_the_arm_closes_around_the_object_from_outside(obstacle, turns):
+    held = grip(obstacle, turns)
+    a = held.arm
+    assert abs(overlap(held, held.touching)) <= 1e-4 * a.length
+    assert overlap(held, held.opened) <= 1e-4 * a.length
+    # On the way around it, also between the rows, nothing is deeper inside than where it touches.
+    for motion in (held.phases["approach"], held.phases["wind"]):
+        q = motion.configurations(a)
+        assert max(overlap(held, row) for row in q) <= 1e-4 * a.length + 1e-9
+    assert overlap(held, held.held) > 1e-3 * a.length  # the command is inside
+    # It winds by the turns that it should: the angle about the axis that the wrapped points sweep.
+    points = a.at(held.touching).points[held.first :]
+    middle = np.array([0.42, 0.12])
+    angles = np.unwrap(np.arctan2(*(points[:, :2] - middle).T[::-1]))
+    swept = (angles[-1] - angles[0]) / (2.0 * np.pi)
+    assert np.sign(swept) == np.sign(turns)
+    assert abs(turns) - 0.06 <= abs(swept) <= abs(turns) + 0.2
+    assert held.hold.closed
+    assert len(held.hold.bodies) > 5
+
+
+@pytest.mark.long
+def test_motions_join_and_keep_the_limits():
+    held = grip()
+    lifted = pp.carry(held, (0.0, 0.0, 0.1))
+    motions = [*held.phases.values(), *lifted.phases.values(), pp.unwrap(lifted, held.arm.straight())]
+    ends = [(each.positions[0], each.positions[-1]) for each in motions]
+    for (_, end), (start, _) in pairwise(ends):
+        np.testing.assert_allclose(start, end, atol=1e-9)
+    whole = pp.JointTrajectory.joined(motions)
+    resting = 0.02 * (len(motions) - 1)
+    assert whole.duration == pytest.approx(sum(each.duration for each in motions) + resting)
+    steps = np.diff(whole.positions, axis=0) / 0.02
+    assert np.abs(steps).max() <= 1.0 + 1e-6
+    assert np.abs(np.diff(steps, axis=0) / 0.02).max() <= 2.0 + 1e-6
+    np.testing.assert_allclose(whole.positions[-1], held.arm.positions(held.arm.straight()), atol=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "displacement",
+    [(0.0, 0.0, 0.1), pin.SE3(pin.exp3(np.array([0.0, 0.0, 0.3])), np.array([0.05, -0.1, 0.1]))],
+)
+def test_what_is_wrapped_moves_with_the_object(displacement):
+    held = grip()
+    carried = pp.carry(held, displacement)
+    motion = displacement
+    if not isinstance(motion, pin.SE3):
+        motion = pin.SE3(np.eye(3), np.array(motion))
+    before = held.arm.at(held.held).points[held.first :]
+    after = carried.arm.at(carried.held).points[held.first :]
+    np.testing.assert_allclose(after, np.array([motion.act(each) for each in before]), atol=2e-5)
+    np.testing.assert_allclose(
+        carried.scene.obstacles["it"].pose(np.zeros(3)).translation,
+        motion.act(held.scene.obstacles["it"].pose(np.zeros(3)).translation),
+        atol=1e-12,
+    )
+    assert overlap(carried, carried.touching) == pytest.approx(overlap(held, held.touching), abs=2e-5)
+    # All rows keep the shape of the wrap: distances between wrapped points do not change.
+    for q in carried.motion.configurations(carried.arm)[::5]:
+        points = carried.arm.at(q).points[held.first :]
+        np.testing.assert_allclose(
+            np.linalg.norm(points - points[0], axis=1), np.linalg.norm(before - before[0], axis=1), atol=2e-5
+        )
+    assert pp.carry(carried, (0.0, 0.0, -0.05)).displacement.translation[2] == pytest.approx(
+        carried.displacement.translation[2] - 0.05
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "named"),
+    [
+        ({"obstacle": "nothing"}, UnknownName, "nothing"),
+        ({"obstacle": "floor"}, InvalidValue, "touchable"),
+        ({"limits": pp.Limits(dt=0.02)}, InvalidValue, "acceleration"),
+        ({"limits": pp.Limits()}, InvalidValue, "dt"),
+        ({"turns": 0.0}, InvalidValue, "turns"),
+        ({"turns": 3.0}, TaskError, "all modules but one"),
+        ({"scene": scene(BOX)}, TaskError, "cannot follow"),  # its edges are sharper than the arm bends
+        ({"squeeze": 2.0}, InvalidValue, "squeeze"),
+        ({"friction": -1.0}, InvalidValue, "friction"),
+        *(({name: np.nan}, InvalidValue, name) for name in ("turns", "friction", "squeeze")),
+        *(({name: "x"}, InvalidValue, name) for name in ("turns", "friction", "squeeze", "scene", "limits")),
+        ({"turns": 1e200}, InvalidValue, "turns"),
+        ({"obstacle": 3}, UnknownName, "3"),
+        (
+            {"scene": pp.Scene({"it": pp.Sphere((1.5, 0, 0), 0.05)}, touchable=["it"])},
+            TaskError,
+            "free modules",
+        ),
+    ],
+)
+def test_what_cannot_be_wrapped_is_refused_by_name(changes, error, named):
+    given = {"obstacle": "it", "scene": scene(CAN), "limits": LIMITS, "turns": 0.9, **changes}
+    with pytest.raises(error, match=named):
+        pp.wrap(
+            arm(),
+            given.pop("obstacle"),
+            given.pop("scene"),
+            arm().straight(),
+            given.pop("limits"),
+            **given,
+        )
+
+
+@pytest.mark.long
+def test_a_place_that_is_not_reached_is_refused_with_how_far_the_arm_gets():
+    with pytest.raises(TaskError, match="% of the way"):
+        pp.carry(grip(), (0.0, 0.0, 2.0))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("bad", [None, "up", (0.0, 0.1), (0.0, 0.0, np.nan), (0.0, 0.0, 1e200), object()])
+def test_displacements_and_ends_that_are_none_are_refused(bad):
+    with pytest.raises(InvalidValue, match="displacement"):
+        pp.carry(grip(), bad)
+    with pytest.raises(InvalidValue, match="grip"):
+        pp.carry(bad, (0.0, 0.0, 0.1))
+    with pytest.raises(InvalidValue, match="grip"):
+        pp.unwrap(bad)
+    if bad is not None:
+        with pytest.raises(InvalidValue, match="q_end"):
+            pp.unwrap(grip(), bad)
+
+
+def test_motions_that_do_not_meet_are_refused():
+    a = template_arm("RyRz", 4)
+    motion = pp.JointTrajectory.from_configurations(a, np.linspace(np.zeros(8), np.full(8, 0.2), 10), 0.02)
+    with pytest.raises(InvalidValue, match="start"):
+        pp.JointTrajectory.joined([motion, motion])
+    with pytest.raises(InvalidValue, match="at least one"):
+        pp.JointTrajectory.joined([])
