@@ -91,12 +91,11 @@ def judged(ended: Simulation, drawn: Draw, promised: float) -> Outcome:
     tilt = float(np.degrees(np.arccos(np.clip(moved.rotation[2, 2], -1.0, 1.0))))
     reason = ""
     if rise < LEAST_RISE:
-        heavy = "as promised: too heavy" if promised < drawn.mass else "slipped"
-        reason = f"{heavy}, rose by {1e3 * rise:.0f} mm"
+        reason = "heavier than promised" if promised < drawn.mass else "slipped"
     elif tilt > MOST_TILT:
-        reason = f"tilted by {tilt:.0f} degrees"
+        reason = f"tilted: by {tilt:.0f} degrees"
     elif ended.contacts.faults:
-        reason = "held, but " + " touches ".join(ended.contacts.faults[0].pair)
+        reason = "held, but touched: " + " touches ".join(ended.contacts.faults[0].pair)
     return Outcome(promised, rise, tilt, reason)
 
 
@@ -119,9 +118,9 @@ def main() -> None:
             f"{1e3 * drawn.can.radius:.0f} | {1e3 * x:.0f}, {1e3 * y:.0f} | {TURNS * drawn.direction:+.1f}"
         )
         masses = f"{drawn.friction:.2f} | {drawn.mass:.2f} | {ended.promised:.2f}"
-        told = f"{1e3 * ended.rise:.0f} | {ended.tilt:.0f} | {ended.reason or 'held'}"
+        told = f"{round(1e3 * ended.rise)} | {ended.tilt:.0f} | {ended.reason or 'held'}"
         print(f"| {place} | {masses} | {told} |", flush=True)
-        counts[ended.reason.split(",")[0].split(":")[0] or "held"] += 1
+        counts[ended.reason.split(":")[0] or "held"] += 1
     print("\n" + ", ".join(f"{name}: {count} of {given.draws}" for name, count in counts.most_common()))
 
 

@@ -37,7 +37,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.control.reach import bring_to_goal
 from pinposture.control.tasks import link_axes
 from pinposture.curve import Curve
-from pinposture.errors import InvalidValue, TargetError, TaskError
+from pinposture.errors import InvalidValue, TargetError, TaskError, raise_together
 from pinposture.motion import JointTrajectory
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.target import arm_axis
@@ -51,8 +51,8 @@ PITCH = 3.0
 TOUCHES = 2e-4
 GAP_CORRECTIONS = 5
 """Distance from the object, or overlap with it, at which the wrapped arm counts as touching, in arm lengths,
-and the largest number of gaps that are tried. Arms of equal pieces needed one or two around cylinders and
-capsules, other arms three; around a box the distance stays about 1e-4, as the last modules change places."""
+and the largest number of gaps that are tried. Three arms needed one to three gaps around cylinders and
+capsules, up to four around boxes, where 0.12 mm remained with an arm of 1 m."""
 
 WITHIN = 2e-3
 """Distance of bodies that count as in contact in the assessment of a hold, in arm lengths."""
@@ -275,6 +275,10 @@ def unwrap(grip: Grip, q_end: ArrayLike | None = None) -> JointTrajectory:
     """
     require_instance("grip", grip, Grip, "a Grip, as pp.wrap(...) returns it")
     arm = grip.arm
+    closest = CollisionModel(arm, grip.scene).minimum_on_motions(grip.opened, grip.winding)
+    if closest.pair is not None and closest.distance < grip.scene.margin:
+        reason = f"as it opens, {closest.pair[0]} comes within the margin of {closest.pair[1]}"
+        raise TaskError(f"unwrap {grip.obstacle!r}", reason)
     way = arm.integrate(grip.opened, grip.winding)
     release = _motion(arm, np.vstack([grip.held[None], way[::-1]]), grip.limits)
     if q_end is None:
@@ -324,6 +328,8 @@ def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
 def _timed(path: JointPath, limits: Limits) -> JointTrajectory:
     """Return the motion along a path."""
     places = retime(path, limits).places
+    if len(places) < 2:  # it is there already, and rests for a cycle
+        places = np.zeros(2)
     rows = path.arm.integrate(path.start, path.smooth_offset(places))
     return JointTrajectory.from_configurations(path.arm, rows, cycle_of(limits))
 
@@ -348,22 +354,42 @@ class _Wrap:
         self.where = _where(obstacle)
 
     def find(self, start: Array) -> _Found:
-        """Find the wrap; a posture like the start, (nq,), is preferred."""
+        """Find the wrap that touches the object with most bodies, from a start, (nq,), and other postures."""
         arm = self.arm
         gap = max(each.shape.solid().radius for each in bodies_of(arm, self.scene.arm_radius))
-        shape = self.scene.obstacles[self.obstacle]
+        found: list[_Found] = []
+        errors: dict[str, TaskError] = {}
+        for seed in self._seeds(self._last_free(self._winding(gap)), start):
+            try:
+                found.append(self._find_from(seed, gap))
+            except TaskError as error:
+                errors[error.reason] = error
+        if not found:
+            raise_together(list(errors.values()))
+        straight = arm.straight()
+        bends = [float(np.linalg.norm(arm.difference(straight, each.opened))) for each in found]
+        touching = [self._count_touching(arm.integrate(each.opened, each.winding[-1])) for each in found]
+        return found[min(range(len(found)), key=lambda k: (-touching[k], bends[k]))]
+
+    def _find_from(self, seed: Array, gap: float) -> _Found:
+        """Find a wrap from a posture, (nq,), with a gap to begin with [m]."""
+        arm = self.arm
         for _ in range(GAP_CORRECTIONS):
-            winding = winding_around(
-                shape, arm.chain.base, gap, self.turns, pitch=PITCH * gap, heading=arm_axis(arm)
-            )
+            winding = self._winding(gap)
             first = self._last_free(winding)
-            opened = self._opened(winding, first, start)
+            opened = self._opened(winding, first, seed)
             way = self._wind(winding, first, opened)
             overlap = -self._distance(arm.integrate(opened, way[-1]))
             if abs(overlap) <= TOUCHES * arm.length:
                 return _Found(first, opened, self._clear(opened, way))
             gap += overlap
         raise TaskError(self.where, f"the arm is {length_text(abs(overlap))} off where it would touch")
+
+    def _winding(self, gap: float) -> Winding:
+        """Return the curve around the object at a distance [m]."""
+        shape = self.scene.obstacles[self.obstacle]
+        base = self.arm.chain.base
+        return winding_around(shape, base, gap, self.turns, pitch=PITCH * gap, heading=arm_axis(self.arm))
 
     def _last_free(self, winding: Winding) -> int:
         """Return the index of the last control point that is not wrapped."""
@@ -377,8 +403,8 @@ class _Wrap:
             raise TaskError(self.where, reason)
         return arm.n_modules - wrapped - 1
 
-    def _opened(self, winding: Winding, first: int, start: Array) -> Array:
-        """Return the posture in which the wrapped modules are a straight tangent."""
+    def _opened(self, winding: Winding, first: int, seed: Array) -> Array:
+        """Return the posture near a seed, (nq,), in which the wrapped modules are a straight tangent."""
         arm = self.arm
         x = winding.heading
         z = winding.body.axis - (winding.body.axis @ x) * x
@@ -387,31 +413,19 @@ class _Wrap:
         # The link that ends there lies along the tangent.
         along = pin.Quaternion.FromTwoVectors(link_axes(arm).links[first], np.eye(3)[0]).matrix()
         frame = pin.SE3(upright @ along, winding.points[0])
-        task = EndEffector(pose=frame, point=first)
-        found = []
-        missed = []
-        blocked = []
-        for seed in self._seeds(first, start):
-            state, error = bring_to_goal(arm, task, arm.chain_at(seed))
-            q = self._straightened(state.q, first)
-            closest = self.model.minimum(q)
-            if error > REACHED * arm.length:
-                missed.append(error)
-            elif closest.pair is not None and closest.distance < self.scene.margin:
-                blocked.append(closest)
-            else:
-                found.append(q)
-        if not found and blocked:
-            best = max(blocked, key=lambda each: each.distance)
-            reason = f"where it begins, {' '.join(best.pair or ())} are too close"
-            raise TaskError(self.where, reason)
-        if not found:
+        state = arm.chain_at(self._straightened(seed, first))
+        state, error = bring_to_goal(arm, EndEffector(pose=frame, point=first), state)
+        if error > REACHED * arm.length:
             away = length_text(float(np.linalg.norm(winding.points[0] - arm.chain.base)))
-            near = length_text(min(missed))
-            reason = f"it begins {away} from the base, and the {first + 1} free modules miss that by {near}"
+            reason = f"it begins {away} from the base, and the {first + 1} free modules do not get there"
             raise TaskError(self.where, reason)
-        straight = arm.straight()
-        return min(found, key=lambda q: float(np.linalg.norm(arm.difference(straight, q))))
+        q = self._straightened(state.q, first)
+        closest = self.model.minimum(q)
+        if closest.pair is not None and closest.distance < self.scene.margin:
+            raise TaskError(
+                self.where, f"where it begins, {closest.pair[0]} is too close to {closest.pair[1]}"
+            )
+        return q
 
     def _straightened(self, q: Array, first: int) -> Array:
         """Return a configuration with the wrapped modules straight."""
@@ -424,7 +438,7 @@ class _Wrap:
     def _seeds(self, first: int, start: Array) -> Iterator[Array]:
         """Yield postures for the search: the start, and arches of the free modules."""
         arm = self.arm
-        yield self._straightened(start, first)
+        yield start
         ends = np.append(arm.module_starts[1:], len(arm.columns))
         shares = np.cos(2.0 * np.pi * (np.arange(first + 1) + 0.5) / (first + 1))
         for bend in SEED_BENDS:
@@ -462,9 +476,18 @@ class _Wrap:
 
     def _distance(self, q: Array) -> float:
         """Return the distance of the arm from the object [m], negative for overlap."""
-        near = self.model.nearest(self.arm.at(q), np.inf)
-        own = [float(near.distances[k]) for k, pair in enumerate(near.pairs) if pair[1] == self.obstacle]
-        return min(own) - self.scene.depth(self.obstacle)
+        return float(self._distances(q, np.inf).min())
+
+    def _count_touching(self, q: Array) -> int:
+        """Return the number of bodies that touch the object."""
+        within = WITHIN * self.arm.length
+        return int(np.sum(self._distances(q, within) <= within))
+
+    def _distances(self, q: Array, within: float) -> Array:
+        """Return the distances of bodies from the object that are nearer than one [m], (k,) [m]."""
+        depth = self.scene.depth(self.obstacle)
+        near = self.model.nearest(self.arm.at(q), within + depth)
+        return near.distances[[other == self.obstacle for _, other in near.pairs]] - depth
 
     def _clear(self, opened: Array, way: Array) -> Array:
         """Return a way to the wrap that is clear: at once, or module by module."""

@@ -78,6 +78,26 @@ def test_the_arm_goes_where_it_touches_and_around_what_it_may_not_touch():
     assert not ended["ball",].faults
 
 
+@pytest.mark.long
+def test_motions_task_files_and_saved_motions_respect_what_is_touchable(tmp_path):
+    arm = template_arm("RyRz", 8)
+    goal = arm.configuration([0.0, 0.1] * 8)
+    tip = arm.at(goal).points[-1]
+    outward = np.array([-tip[1], tip[0], 0.0]) / np.linalg.norm(tip)
+    ball = pp.Sphere(tuple(tip + (0.05 + 0.01 - 0.5 * MARGIN) * outward), 0.05)
+    keyframes = [pp.Keyframe(joints=(0.0, 0.05) * 8), pp.Keyframe(joints=(0.0, 0.1) * 8, duration=2.0)]
+    limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=4.0)
+    for touchable in (["ball"], []):
+        scene = pp.Scene({"ball": ball}, margin=MARGIN, arm_radius=0.01, touchable=touchable)
+        task = pp.Task(arm, keyframes, limits, scene=scene)
+        read = pp.Task.load(task.save(tmp_path / "task.toml"))
+        assert read.scene == scene
+        motion = pp.move_through(arm, keyframes, limits=limits, scene=read.scene)
+        kept = pp.load(pp.save(motion, tmp_path / "motion.npz"))
+        assert tuple(kept.run.scene.touchable) == tuple(touchable)
+        assert bool(kept.faults) == (not touchable)
+
+
 def test_scenes_keep_what_is_touchable():
     obstacles = {"ball": SHAPES["sphere"], "box": SHAPES["box"]}
     scene = pp.Scene(obstacles, touchable=["box", "ball", "box"])

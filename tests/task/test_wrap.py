@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -109,6 +110,26 @@ def test_what_is_wrapped_moves_with_the_object(displacement):
     assert pp.carry(carried, (0.0, 0.0, -0.05)).displacement.translation[2] == pytest.approx(
         carried.displacement.translation[2] - 0.05
     )
+
+
+@pytest.mark.long
+def test_an_arm_that_does_not_squeeze_or_carry_rests_for_a_cycle():
+    held = pp.wrap(arm(), "it", scene(CAN), arm().straight(), LIMITS, turns=0.9, squeeze=0.0)
+    np.testing.assert_array_equal(held.held, held.touching)
+    assert held.phases["squeeze"].duration == pytest.approx(0.02)
+    there = pp.carry(held, (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(there.held, held.held, atol=1e-6)
+    assert there.motion.duration == pytest.approx(0.02, abs=0.021)
+
+
+@pytest.mark.long
+def test_an_arm_does_not_open_into_an_obstacle():
+    held = grip()
+    tip = held.arm.at(held.opened).points[-1]
+    wall = {**held.scene.obstacles, "post": pp.Sphere(tuple(tip), 0.03)}
+    blocked = replace(held, scene=held.scene.with_obstacles(wall))
+    with pytest.raises(TaskError, match="post"):
+        pp.unwrap(blocked)
 
 
 @pytest.mark.parametrize(
