@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,50 +21,101 @@ from pinposture.placement.target import fitting_slides
 
 Array = NDArray[np.float64]
 
-TURN_PER_STAGE = 2.0  # largest turn of the curve's tip between stages of bending [rad]
 
-RESTARTS_OF_FIT = 4
-RESTART_NOISE = 0.3
-"""Number of restarts, and standard deviation of their perturbations [rad, or arm lengths]."""
+class CurveFitSettings(NamedTuple):
+    """Settings of `fit_curve` and `fit_near`."""
 
-EXACT_FIT = 1e-6  # root mean square distance from the curve below which there are no restarts, in arm lengths
-ROUGH_EVALUATIONS = 6  # number of evaluations at the final curve for a rough fit
+    turn_per_stage: float = 2.0
+    """Largest turn of the tip of the curve between stages of bending [rad]."""
 
-SAMPLES_PER_MODULE = 12
-"""Curve samples per module in all stages but the last, which uses the curve itself."""
+    samples_per_module: int = 12
+    """Samples of the curve per module in all stages but the last, which uses the curve itself."""
 
-MIN_SPACING = 0.05
-MAX_SPACING = 3.0
-"""Bounds on the arc length between neighbouring control points, in module lengths."""
+    rough_evaluations: int = 6
+    """Number of evaluations at the final curve for a rough fit."""
 
-REFINE_STEPS = 12
-REFINE_MAX_STEP = 0.2
-"""Maximum number and size of steps of `refined` [rad, or arm lengths]."""
+    restarts: int = 4
+    """Number of new starts of a fit that is not exact."""
 
-REFINE_MIN_STEP = 1e-7
-REFINE_MIN_COST = 1e-24
-"""Step [rad, or arm lengths] and cost at which `refined` has converged."""
+    restart_noise: float = 0.3
+    """Standard deviation of the perturbations of these starts [rad, or arm lengths]."""
 
-REFINE_DAMPING = 1e-11
-REFINE_DAMPING_DOWN = 0.1
-REFINE_DAMPING_UP = 10.0
-"""Smallest damping of `refined`, relative to `stiffness`, and its factors after better and worse steps."""
+    exact: float = 1e-6
+    """Root mean square distance from the curve below which a fit is exact, in arm lengths."""
 
-LOOK_AHEAD = 2.0
-LOOK_AHEAD_SAMPLES = 64
-"""Search range for the next control point along the curve, in module lengths, and number of samples."""
+    least_spacing: float = 0.05
+    """Smallest arc length between neighbouring control points, in module lengths."""
 
-TIP_WEIGHT = 0.1
-LINK_WEIGHT = 1e-2
-SLIDE_WEIGHT = 4e-3
-"""Weights of the tip's distance from the end of the curve, of the links' distance from it, and of differences
-between slides, against the distance of control points from the curve."""
+    most_spacing: float = 3.0
+    """Largest such arc length, in module lengths."""
 
-END_MARGIN = 1e-5  # arc length left beyond the tip at the end of a curve, in arm lengths
-NEAR_FIT = 1e-3  # as `EXACT_FIT`, for arms with slides
-CLOSING_WEIGHT = 1e-6  # weight of changes to the fit while its control points move onto the curve
-ON_JOINT = 1e-9  # length of a link that counts as zero, in arm lengths
-SLIDE_STEPS = 17  # number of postures in the search for slides that fit a length
+    look_ahead: float = 2.0
+    """Range along the curve in which the point nearest to a control point is searched, in module lengths."""
+
+    look_ahead_samples: int = 64
+    """Number of samples in this range."""
+
+
+CURVE_FIT = CurveFitSettings()
+
+
+class RefinementSettings(NamedTuple):
+    """Settings of `refined`."""
+
+    steps: int = 12
+    """Largest number of steps."""
+
+    largest_step: float = 0.2
+    """Largest step [rad, or arm lengths]."""
+
+    still: float = 1e-7
+    """Step at which it ends [rad, or arm lengths]."""
+
+    no_cost: float = 1e-24
+    """Sum of squares at which it ends, in squared arm lengths."""
+
+    damping: float = 1e-11
+    """Smallest damping, relative to `stiffness`."""
+
+    damping_down: float = 0.1
+    """Factor of the damping after a better step."""
+
+    damping_up: float = 10.0
+    """Factor of the damping after a worse step."""
+
+
+REFINEMENT = RefinementSettings()
+
+
+class SlidingFitSettings(NamedTuple):
+    """Settings of the fit of an arm with slides; weights are against distances of the control points."""
+
+    tip_weight: float = 0.1
+    """Weight of the distance of the tip from the end of the curve."""
+
+    link_weight: float = 1e-2
+    """Weight of the distance of the links from the curve."""
+
+    slide_weight: float = 4e-3
+    """Weight of differences between slides."""
+
+    end_margin: float = 1e-5
+    """Arc length left beyond the tip at the end of a curve, in arm lengths."""
+
+    near: float = 1e-3
+    """Root mean square distance from the curve below which a fit needs no new start, in arm lengths."""
+
+    closing_weight: float = 1e-6
+    """Weight of changes to the fit while its control points move onto the curve."""
+
+    on_joint: float = 1e-9
+    """Length of a link that counts as zero, in arm lengths."""
+
+    slide_steps: int = 17
+    """Number of postures in the search for slides that fit a length."""
+
+
+SLIDING_FIT = SlidingFitSettings()
 
 
 class Samples:
@@ -114,18 +166,18 @@ def fit_curve(
     # Slightly more of the curve than the arm can cover.
     problem = _fit_problem(arm, curve, start, bending, to_end)
     end = min(curve.length, start + 1.2 * problem.reach)
-    s = np.linspace(start, end, SAMPLES_PER_MODULE * arm.n_modules + 1)
+    s = np.linspace(start, end, CURVE_FIT.samples_per_module * arm.n_modules + 1)
     tangents = curve.tangent(s)
     turns = transported_turns(tangents)
-    stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / TURN_PER_STAGE))
+    stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / CURVE_FIT.turn_per_stage))
     unknowns = problem.straight
     for share in np.arange(stages) / max(stages, 1):
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
         unknowns = problem.solve(partial, unknowns, evaluations=4)
-    best = problem.solve(curve, unknowns, evaluations=ROUGH_EVALUATIONS if rough else 60)
+    best = problem.solve(curve, unknowns, evaluations=CURVE_FIT.rough_evaluations if rough else 60)
     # If off the curve, this may be a local minimum: restart, with reproducible perturbations.
     rng = np.random.default_rng(0)
-    for _ in range(RESTARTS_OF_FIT if not rough and problem.distance(curve, best) > problem.exact else 0):
+    for _ in range(CURVE_FIT.restarts if not rough and problem.distance(curve, best) > problem.exact else 0):
         other = problem.solve(curve, problem.perturb(best, rng), evaluations=60)
         best = min(best, other, key=lambda x: problem.distance(curve, x))
     return problem.split(best if rough else problem.closed(curve, best))
@@ -176,11 +228,11 @@ def slid_positions(arm: Arm, length: float) -> Array:
     extended = arm.positions(arm.straight())
     low, high = arm.usual_positions
     retracted = np.where(fitting_slides(arm), np.clip(low + high - extended, low, high), extended)
-    shares = np.linspace(0.0, 1.0, SLIDE_STEPS)[:, None]
+    shares = np.linspace(0.0, 1.0, SLIDING_FIT.slide_steps)[:, None]
     postures = (1.0 - shares) * extended + shares * retracted
     ends = [arm.kinematics.forward(posture).points[-1] for posture in postures]
     reaches = np.linalg.norm(arm.chain.flattened(np.array(ends)) - arm.chain.base, axis=1)
-    reaches += END_MARGIN * arm.length
+    reaches += SLIDING_FIT.end_margin * arm.length
     k = int(np.argmax(reaches <= length))
     if k == 0:
         return np.asarray(postures[0 if reaches[0] <= length else int(np.argmin(reaches))])
@@ -245,8 +297,8 @@ def _nearest_parameters(arm: Arm, curve: Curve, start: float, q: Array) -> Array
     """
     points = arm.chain.flattened(arm.chain_at(q).points)
     lengths = arm.chain.module_lengths
-    reach = LOOK_AHEAD * np.maximum(lengths, lengths.mean())
-    steps = np.arange(1, LOOK_AHEAD_SAMPLES + 1) / LOOK_AHEAD_SAMPLES
+    reach = CURVE_FIT.look_ahead * np.maximum(lengths, lengths.mean())
+    steps = np.arange(1, CURVE_FIT.look_ahead_samples + 1) / CURVE_FIT.look_ahead_samples
     found = np.empty(len(points))
     for k, point in enumerate(points):
         ahead = np.minimum(start + reach[k] * steps, curve.length)
@@ -271,7 +323,7 @@ class FitProblem:
         settled: relative decrease of the sum of squares below which the fit ends.
     """
 
-    exact = EXACT_FIT
+    exact = CURVE_FIT.exact
     settled = 1e-15
 
     def __init__(self, arm: Arm, start: float, bending: float, base: Array | None = None) -> None:
@@ -289,12 +341,12 @@ class FitProblem:
         self._units = np.concatenate([sliding, np.full(arm.n_modules, arm.length)])
         lengths = arm.chain.module_lengths
         # A module may have zero length, or get longer by sliding.
-        longest = MAX_SPACING * np.maximum(lengths, lengths.mean())
+        longest = CURVE_FIT.most_spacing * np.maximum(lengths, lengths.mean())
         # Solvers scale by the distance to finite bounds and lose accuracy if it is huge.
         unlimited = arm.unlimited[columns]
         lower = np.where(unlimited, -np.inf, arm.limits.lower[columns])
         upper = np.where(unlimited, np.inf, arm.limits.upper[columns])
-        self.lower = np.concatenate([lower, MIN_SPACING * lengths]) / self._units
+        self.lower = np.concatenate([lower, CURVE_FIT.least_spacing * lengths]) / self._units
         self.upper = np.concatenate([upper, longest]) / self._units
         straight = np.concatenate([self._rest[columns], lengths]) / self._units
         self.straight = np.clip(straight, self.lower, self.upper)
@@ -307,7 +359,7 @@ class FitProblem:
     def perturb(self, unknowns: Array, rng: np.random.Generator) -> Array:
         """Add normally distributed noise to the joint positions."""
         moved = unknowns.copy()
-        moved[: self._joints] += RESTART_NOISE * rng.normal(size=self._joints)
+        moved[: self._joints] += CURVE_FIT.restart_noise * rng.normal(size=self._joints)
         return np.asarray(np.clip(moved, self.lower, self.upper))
 
     def distance(self, curve: Samples | Curve, unknowns: Array) -> float:
@@ -344,8 +396,9 @@ class FitProblem:
         held.lower = self.lower.copy()
         held.upper = self.upper.copy()
         held.lower[fixed] = held.upper[fixed] = positions[self.columns[fixed]] / self._units[fixed]
-        held.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths)
-        held.upper[n:] = np.maximum(self.upper[n:], MAX_SPACING * np.maximum(lengths, lengths.mean()))
+        held.lower[n:] = np.minimum(self.lower[n:], CURVE_FIT.least_spacing * lengths)
+        longest = CURVE_FIT.most_spacing * np.maximum(lengths, lengths.mean())
+        held.upper[n:] = np.maximum(self.upper[n:], longest)
         return held
 
     def solve(self, curve: Samples | Curve, guess: Array, evaluations: int) -> Array:
@@ -397,7 +450,7 @@ class SlidingFit(FitProblem):
     4. Differences of the slides from those of the straight arm that is as long as the curve.
     """
 
-    exact = NEAR_FIT
+    exact = SLIDING_FIT.near
     settled = 1e-5
 
     def __init__(
@@ -411,13 +464,13 @@ class SlidingFit(FitProblem):
         longest = _module_lengths(arm, extended)
         lengths = _module_lengths(arm, slid)
         self.reach = float(longest.sum())
-        longest = MAX_SPACING * np.maximum(longest, longest.mean()) / arm.length
+        longest = CURVE_FIT.most_spacing * np.maximum(longest, longest.mean()) / arm.length
         self.upper[n:] = np.maximum(self.upper[n:], longest)
-        self.lower[n:] = np.minimum(self.lower[n:], MIN_SPACING * lengths / arm.length)
+        self.lower[n:] = np.minimum(self.lower[n:], CURVE_FIT.least_spacing * lengths / arm.length)
         self.straight = np.clip(self.joined(slid, start + np.cumsum(lengths)), self.lower, self.upper)
         self._only_points = False
-        self._tip_weight = TIP_WEIGHT * to_end
-        self._end = min(length - END_MARGIN * arm.length, start + self.reach)
+        self._tip_weight = SLIDING_FIT.tip_weight * to_end
+        self._end = min(length - SLIDING_FIT.end_margin * arm.length, start + self.reach)
         self._sliding = np.flatnonzero(arm.slides[self.columns])
         # Stations are the base, the joints and the control points along the arm; each is moved by the joints
         # before it.
@@ -431,7 +484,8 @@ class SlidingFit(FitProblem):
         before[self._origins] = joints
         self._carried = joints < before[:, None]
         self._ratios = (chain.columns[:, None] == self.columns) * chain.ratios[:, None]
-        long = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1) > ON_JOINT * arm.length
+        links = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1)
+        long = links > SLIDING_FIT.on_joint * arm.length
         count = int(arm.base_slides.sum())  # links begin after them, see `ArmState.links`
         self._first = count + bool(count)
         long[: self._first] = False
@@ -452,13 +506,13 @@ class SlidingFit(FitProblem):
         """Move the control points of a fit onto the curve, if other residuals hold them off it."""
         tip = self.split(unknowns)[1][-1]
         length = self._arm.length
-        if self._bending > EXACT_FIT or tip > curve.length + NEAR_FIT * length:  # it cannot
+        if self._bending > CURVE_FIT.exact or tip > curve.length + SLIDING_FIT.near * length:  # it cannot
             return unknowns
         points = copy(self)
         points._only_points = True
         points._tip_weight = 1.0
-        points._end = min(tip, curve.length - END_MARGIN * length)
-        return refined(points, curve, unknowns, weight=CLOSING_WEIGHT)
+        points._end = min(tip, curve.length - SLIDING_FIT.end_margin * length)
+        return refined(points, curve, unknowns, weight=SLIDING_FIT.closing_weight)
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
         """Return the residuals and their Jacobian as `FitProblem.evaluate`, and the additional rows."""
@@ -473,9 +527,9 @@ class SlidingFit(FitProblem):
         if self._only_points:
             return np.append(residual, tip), np.vstack([jacobian, row])
         gaps, rows = self._link_rows(curve, unknowns)
-        weight = LINK_WEIGHT * np.sqrt(3 * m / len(rows)) / self._arm.length
+        weight = SLIDING_FIT.link_weight * np.sqrt(3 * m / len(rows)) / self._arm.length
         links = np.zeros((len(rows), n + m))
-        slides = SLIDE_WEIGHT * np.eye(n + m)[sliding]
+        slides = SLIDING_FIT.slide_weight * np.eye(n + m)[sliding]
         links[:, :n] = weight * self._units[:n] * rows
         shifts = slides @ (unknowns - self.straight)
         residual = np.concatenate([residual, tip, weight * gaps, shifts])
@@ -538,18 +592,18 @@ def refined(
     lower = np.maximum(problem.lower, anchor - margin)
     upper = np.minimum(problem.upper, anchor + margin)
     x = np.clip(guess, lower, upper)
-    damping = REFINE_DAMPING
-    largest = REFINE_MAX_STEP
+    damping = REFINEMENT.damping
+    largest = REFINEMENT.largest_step
     residual, jacobian = problem.evaluate(curve, x)
     cost = float(residual @ residual + weight * ((x - anchor) @ (x - anchor)))
-    for _ in range(REFINE_STEPS):
+    for _ in range(REFINEMENT.steps):
         gradient = jacobian.T @ residual + weight * (x - anchor)
         hessian = jacobian.T @ jacobian
         hessian[np.diag_indices(len(x))] += weight + damping * stiffness(problem, hessian)
         free = np.flatnonzero(~(((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))))
         step = np.zeros(len(x))
         step[free] = np.linalg.solve(hessian[np.ix_(free, free)], -gradient[free])
-        step *= min(1.0, REFINE_MAX_STEP / max(float(np.abs(step).max()), 1e-300))
+        step *= min(1.0, REFINEMENT.largest_step / max(float(np.abs(step).max()), 1e-300))
         trial = np.clip(x + step, lower, upper)
         trial_residual, trial_jacobian = problem.evaluate(curve, trial)
         trial_cost = trial_residual @ trial_residual + weight * ((trial - anchor) @ (trial - anchor))
@@ -559,11 +613,11 @@ def refined(
             cost = float(trial_cost)
             residual = trial_residual
             jacobian = trial_jacobian
-            damping = max(damping * REFINE_DAMPING_DOWN, REFINE_DAMPING)
+            damping = max(damping * REFINEMENT.damping_down, REFINEMENT.damping)
         else:
-            damping *= REFINE_DAMPING_UP
-            largest = REFINE_MAX_STEP if damping < 1.0 else 0.0
-        if largest <= REFINE_MIN_STEP or cost <= REFINE_MIN_COST:
+            damping *= REFINEMENT.damping_up
+            largest = REFINEMENT.largest_step if damping < 1.0 else 0.0
+        if largest <= REFINEMENT.still or cost <= REFINEMENT.no_cost:
             break
     return np.asarray(x)
 

@@ -45,13 +45,24 @@ CROSSING_SAMPLES = 200  # number of curve samples per reach in the search for cr
 
 AHEAD = 1e-6  # smallest arc length from the base to a crossing, relative to the reach
 
-GRID = 21
-MANY_SAMPLES = 512
-"""Number of start postures of the numeric search: per degree of freedom, and in total for more than two."""
 
-IK_VISITS = 40
-EXACT = 1e-10
-"""Number of attempts of the numeric IK, and its tolerance relative to the reach."""
+class NumericModuleSettings(NamedTuple):
+    """Settings of the numeric search for joint positions of a module without a closed form."""
+
+    grid: int = 21
+    """Number of start postures per degree of freedom, with one or two."""
+
+    samples: int = 512
+    """Number of start postures with more degrees of freedom."""
+
+    visits: int = 40
+    """Largest number of visits of the module by its inverse kinematics."""
+
+    exact: float = 1e-10
+    """Distance from the wanted point that counts as zero, relative to the reach."""
+
+
+NUMERIC_MODULE = NumericModuleSettings()
 
 
 def curve_crossings(
@@ -309,11 +320,12 @@ class NumericModule:
         k = self.dof
         low, high = self._range
         if k <= 2:
-            shares = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * k), axis=-1).reshape(-1, k)
+            along = np.linspace(0.0, 1.0, NUMERIC_MODULE.grid)
+            shares = np.stack(np.meshgrid(*[along] * k), axis=-1).reshape(-1, k)
         else:
             from scipy.stats import qmc  # as slow to import as a quarter of the library
 
-            shares = qmc.Sobol(k, scramble=False).random(MANY_SAMPLES)
+            shares = qmc.Sobol(k, scramble=False).random(NUMERIC_MODULE.samples)
         inside = np.clip(self.preferred, low, high)
         samples = np.ascontiguousarray(np.vstack([inside, low + shares * (high - low)]))
         ends = np.empty((len(samples), 1, 3))
@@ -343,8 +355,9 @@ class NumericModule:
         )
         goals = np.array(p, dtype=float).reshape(1, 3)
         shares = np.ascontiguousarray(qmc.Sobol(k, scramble=False).random(32))
-        exact = EXACT * self.reach
-        reached = kernels.search_branches(chain, goals, self.reach, exact, 1, IK_VISITS, shares, found)
+        exact = NUMERIC_MODULE.exact * self.reach
+        visits = NUMERIC_MODULE.visits
+        reached = kernels.search_branches(chain, goals, self.reach, exact, 1, visits, shares, found)
         return [found] if reached == 1 else []
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,53 +25,77 @@ from pinposture.units import length_text
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-VISITS_PER_MODULE = 20
-MIN_VISITS = 200
-"""Limit on the number of module visits of a search: per module, and its minimum."""
 
-WINDOW = 6
-"""Number of modules corrected together if a point cannot be reached by its own joints. Of 90 random postures
-of arms of ten modules of three and four joints, 3 finds 86 and 6 all (`docs/design/branch_search.md`), in a
-third of the time with four joints. Points that cannot be reached take up to a fifth longer."""
+class PointSearchSettings(NamedTuple):
+    """Settings of `place_sequentially`; figures are of `docs/design/branch_search.md`."""
 
-JOINT_SAMPLES = 16
-"""Number of samples of a joint without a closed form; twice as many for two or more such joints. Of the same
-postures, 8 find one more in 0.6 of the time, 32 two more in 1.6 of it."""
+    visits_per_module: int = 20
+    """Largest number of visits of modules, per module."""
 
-ROUGH_DISTANCE = 1e-3
-EXACT_DISTANCE = 1e-9
-"""Distances accepted by a rough search, in mean module lengths, and by an exact one, in arm lengths."""
+    visits: int = 200
+    """Largest number of visits of modules of short arms. Of 40 random postures, 100 and 400 find as many and
+    three more, in 0.9 and 1.4 of the time."""
 
-REGULARISATION = 1e-8
-"""Weight of joint positions against distances in arm lengths [1/rad]; resolves redundancy."""
+    window: int = 6
+    """Number of modules corrected together if a point cannot be reached by its own joints. Of 90 random
+    postures of arms of ten modules of three and four joints, 3 finds 86 and 6 all, in a third of the time
+    with four joints. Points that cannot be reached take up to a fifth longer."""
 
-TAKEN = 1e-6
-NO_ERROR = 1e-9
-"""Distances at which a point counts as reached, and at which the search stops, in arm lengths."""
+    joint_samples: int = 16
+    """Number of samples of a joint without a closed form; twice as many for two or more such joints. Of the
+    same postures, 8 find one more in 0.6 of the time, 32 two more in 1.6 of it."""
 
-POINT_FIT_RESTARTS = 8
-POINT_FIT_NOISE = 0.3
-"""Number of restarts, and standard deviation of their perturbations in `Arm.joint_units`."""
+    rough: float = 1e-3
+    """Distance that a rough search accepts, in mean module lengths."""
 
-POINT_FIT = SearchSettings(
-    good=0.0,  # [m]; see `_fit`
-    largest_error=np.inf,
-    largest_step=0.5,
-    damping_share=0.0,
-    stiffness_share=1e-3,
-    least_damping=0.0,
-    least_stiffness=0.0,  # [m^2]; see `_fit`
-    decrease=0.2,
-    increase=5.0,
-    least_factor=1e-9,
-    most_factor=1e9,
-    converged=1e-9,
-    idle=3,
-    steps=300,
-)
-"""Settings of a fit: damping in proportion to the stiffness of the arm alone. Of 40 fits of unreachable
-points, damping that falls with the errors, as the planner has it, ended 8 in a worse local minimum and 4 in a
-better one."""
+    exact: float = 1e-9
+    """Distance that an exact search accepts, in arm lengths."""
+
+
+POINT_SEARCH = PointSearchSettings()
+
+
+class PointFitSettings(NamedTuple):
+    """Settings of `fit_points`; distances are in arm lengths."""
+
+    regularisation: float = 1e-8
+    """Weight of joint positions against distances [1/rad]; it resolves redundancy."""
+
+    taken: float = 1e-6
+    """Distance at which a point counts as reached."""
+
+    no_error: float = 1e-9
+    """Distance at which no further start is tried."""
+
+    restarts: int = 8
+    """Number of perturbed starts."""
+
+    restart_noise: float = 0.3
+    """Standard deviation of their perturbations, in `Arm.joint_units`."""
+
+    search: SearchSettings = SearchSettings(
+        good=0.0,  # [m]; see `_fit`
+        largest_error=np.inf,
+        largest_step=0.5,
+        damping_share=0.0,
+        stiffness_share=1e-3,
+        least_damping=0.0,
+        least_stiffness=0.0,  # [m^2]; see `_fit`
+        decrease=0.2,
+        increase=5.0,
+        least_factor=1e-9,
+        most_factor=1e9,
+        converged=1e-9,
+        idle=3,
+        steps=300,
+    )
+    """Damping is in proportion to the stiffness of the arm alone. Of 40 fits of unreachable points, damping
+    that falls with the errors, as the planner has it, ended 8 in a worse local minimum and 4 in a better
+    one."""
+
+
+POINT_FIT = PointFitSettings()
+
 
 WEAK_MOTION = 0.3
 """Noise-induced joint motion, in `Arm.joint_units`, at which a measurement gets half its weight. Along
@@ -103,22 +128,22 @@ def place_sequentially(
     bounded = np.isfinite(chain.lower) & np.isfinite(chain.upper)
     low, high = (np.where(bounded, side, chain.near) for side in (chain.lower, chain.upper))
     center = 0.5 * low + 0.5 * high
-    visits = max(VISITS_PER_MODULE * len(goals), MIN_VISITS)
+    visits = max(POINT_SEARCH.visits_per_module * len(goals), POINT_SEARCH.visits)
     positions = near.copy()
-    exact = EXACT_DISTANCE * arm.length
-    rough = ROUGH_DISTANCE * arm.length / len(goals)
+    exact = POINT_SEARCH.exact * arm.length
+    rough = POINT_SEARCH.rough * arm.length / len(goals)
     samples = _joint_samples(len(center))
     # Positions far from the limits leave more freedom for later modules.
     for start, accepted, first in (
         (chain.near, exact, 0),
-        (center, exact, JOINT_SAMPLES),
+        (center, exact, POINT_SEARCH.joint_samples),
         (chain.near, rough, 0),
     ):
         shuffled = np.roll(samples, first, axis=0)
         found = start.copy()
         nearby = chain._replace(near=start)
         reached = kernels.search_branches(
-            nearby, goals, arm.length, accepted, WINDOW, visits, shuffled, found
+            nearby, goals, arm.length, accepted, POINT_SEARCH.window, visits, shuffled, found
         )
         positions[arm.columns] = found
         if reached == len(goals):
@@ -155,7 +180,7 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
     m = len(goals)
     found = chain.near.copy()
     samples = _joint_samples(len(chain.near))
-    exact = EXACT_DISTANCE * arm.length
+    exact = POINT_SEARCH.exact * arm.length
     if kernels.search_branches(chain, goals, arm.length, exact, 1, 2 * m, samples, found) < m:
         return None
     positions = np.array(near)
@@ -214,7 +239,8 @@ def _search_modules(kinematics: Kinematics, indices: tuple[int, ...]) -> ModuleS
 def _joint_samples(n: int) -> Array:
     """Return fractions of the range of each joint, (2 S, n): two even grids, shuffled for each joint."""
     rng = np.random.default_rng(0)
-    sets = [(np.arange(JOINT_SAMPLES) + middle) / JOINT_SAMPLES for middle in (0.25, 0.75)]
+    count = POINT_SEARCH.joint_samples
+    sets = [(np.arange(count) + middle) / count for middle in (0.25, 0.75)]
     columns = [np.concatenate([rng.permutation(shares) for shares in sets]) for _ in range(n)]
     return np.ascontiguousarray(np.column_stack(columns))
 
@@ -244,7 +270,7 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     residual = np.linalg.norm(_gaps(arm, target, best), axis=1)
     farthest = int(np.argmax(np.where(target.has_target, residual, -1.0)))
     approximate = ""
-    if residual[farthest] > TAKEN * arm.length:
+    if residual[farthest] > POINT_FIT.taken * arm.length:
         approximate = (
             f"in the closest posture found, control point {farthest} is {length_text(residual[farthest])} "
             "from its point; it may be a local minimum"
@@ -257,17 +283,17 @@ def _closest_positions(arm: Arm, target: Target) -> Array:
     """Return the joint positions (nv,) that come closest to a target, from several starts."""
     straight = arm.positions(arm.straight())
     rng = np.random.default_rng(0)
-    noise = np.where(arm.moved > 0.0, POINT_FIT_NOISE * arm.joint_units, 0.0)
+    noise = np.where(arm.moved > 0.0, POINT_FIT.restart_noise * arm.joint_units, 0.0)
     best = straight
     least = np.inf
-    for guess in (*initial_guesses(arm, target, straight), straight, *[None] * POINT_FIT_RESTARTS):
+    for guess in (*initial_guesses(arm, target, straight), straight, *[None] * POINT_FIT.restarts):
         found = _fit(arm, target, best + noise * rng.normal(size=arm.nv) if guess is None else guess)
         gaps = _gaps(arm, target, found)
         cost = float(target.weights @ np.einsum("ij,ij->i", gaps, gaps))
         if cost < least:
             best = found
             least = cost
-        if least <= (NO_ERROR * arm.length) ** 2:
+        if least <= (POINT_FIT.no_error * arm.length) ** 2:
             break
     return best
 
@@ -285,11 +311,11 @@ def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
     """
     positions, complete = place_sequentially(arm, target.points, target.has_target, near)
     yield positions
-    if complete and np.abs(_gaps(arm, target, positions)).max() <= NO_ERROR * arm.length:
+    if complete and np.abs(_gaps(arm, target, positions)).max() <= POINT_FIT.no_error * arm.length:
         return
     try:
         curve = Curve.points(np.vstack([arm.chain.base, target.points[target.has_target]]))
-        yield fit_curve(arm, curve, 0.0, REGULARISATION * arm.length, rough=True)[0]
+        yield fit_curve(arm, curve, 0.0, POINT_FIT.regularisation * arm.length, rough=True)[0]
     except PostureError:  # the points form no curve, for instance because two coincide
         return
 
@@ -317,8 +343,8 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
         chords=np.zeros(len(indices)),
         normal=np.zeros(3),
     )
-    settings = POINT_FIT._replace(
-        good=1e-3 * NO_ERROR * arm.length / len(indices), least_stiffness=1e-12 * arm.length**2
+    settings = POINT_FIT.search._replace(
+        good=1e-3 * POINT_FIT.no_error * arm.length / len(indices), least_stiffness=1e-12 * arm.length**2
     )
     positions = np.array(start)
     positions[columns] = np.clip(start[columns], lower, upper)

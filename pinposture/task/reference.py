@@ -17,7 +17,7 @@ from pinposture.control.torque_limits import Overload, find_overload, require_he
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TaskError, warn_caller
 from pinposture.placement import Target
-from pinposture.placement.least_squares import SAMPLES_PER_MODULE, Samples, transported_turns
+from pinposture.placement.least_squares import CURVE_FIT, Samples, transported_turns
 from pinposture.placement.target import Moved, arm_axis
 
 Array = NDArray[np.float64]
@@ -343,7 +343,7 @@ class Bending:
     """
 
     def __init__(self, arm: Arm, length: float) -> None:
-        per_cell = arm.length / (SAMPLES_PER_MODULE * arm.n_modules)
+        per_cell = arm.length / (CURVE_FIT.samples_per_module * arm.n_modules)
         self.cells = int(np.ceil(length / per_cell))
         self.cell = length / self.cells
         self._base = np.array(arm.chain.base)

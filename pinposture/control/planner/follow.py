@@ -45,7 +45,7 @@ from pinposture.control.tasks import Displaced, rows_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
-from pinposture.placement.points import TAKEN
+from pinposture.placement.points import POINT_FIT
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -867,7 +867,7 @@ def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
         left.append(f"{kind.__name__} by {length_text(error)}")
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""
     target = objective.target
-    missed = objective.mean_error(bounds.state) > TAKEN * objective.arm.length
+    missed = objective.mean_error(bounds.state) > POINT_FIT.taken * objective.arm.length
     if missed and (target.q is None or target.approximate):
         words += "; no posture that takes all points was found; the closest one may be a local minimum"
     return words
