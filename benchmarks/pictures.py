@@ -104,8 +104,9 @@ def _plain_numbers(ax: Axes) -> None:
 def dress(ax: Axes, title: str, label: str) -> None:
     """Add title, label of the vertical axis, grid and legend."""
     from pinposture.viz import palette
+    from pinposture.viz.palette import THEME
 
-    ax.set_title(title, fontsize=9, color=palette.INK)
+    ax.set_title(title, fontsize=9, color=THEME.ink)
     ax.set_ylabel(label, fontsize=9)
     palette.add_grid(ax)
     ax.grid(visible=False, axis="x")

@@ -37,7 +37,7 @@ from benchmarks.studies.clutter import draw_clutter, run_problem
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
-from pinposture.viz.palette import format_time_axes
+from pinposture.viz.palette import THEME, format_time_axes
 from pinposture.viz.panels import plot_clearance
 from pinposture.viz.postures import PosturePanel, draw_ellipsoids, draw_runs, ellipsoid_key, shade_ellipsoids
 
@@ -51,8 +51,8 @@ COLORS = 256
 PLANAR = pp.Arm.from_template("Rz", modules=20, link_lengths=(0.05,))
 """The arm of most pictures: planar, 1 m."""
 
-WORDS: dict[str, Any] = {"fontsize": 9, "color": palette.INK}
-ARROW: dict[str, Any] = {"arrowstyle": "-", "color": palette.QUIET, "lw": 0.8, "shrinkB": 3}
+WORDS: dict[str, Any] = {"fontsize": 9, "color": THEME.ink}
+ARROW: dict[str, Any] = {"arrowstyle": "-", "color": THEME.quiet, "lw": 0.8, "shrinkB": 3}
 
 
 def bent(*curvatures: float) -> Array:
@@ -87,9 +87,9 @@ def modules() -> Figure:
     joints = arm.at(q).origins
     for k in range(3):
         line = np.vstack([points[k], joints[2 * k : 2 * k + 2], points[k + 1]])
-        panel.line(line, color=palette.MODULES[k % 2], lw=9.0, solid_capstyle="butt", zorder=3)
-    panel.line(joints, ls="none", marker="o", ms=6, mfc="none", mec=palette.TURN, mew=1.5, zorder=5)
-    panel.line(points[1:], ls="none", marker="o", ms=9, mfc=palette.ACTIVE, mec=palette.INK, zorder=4)
+        panel.line(line, color=THEME.modules[k % 2], lw=9.0, solid_capstyle="butt", zorder=3)
+    panel.line(joints, ls="none", marker="o", ms=6, mfc="none", mec=THEME.turn, mew=1.5, zorder=5)
+    panel.line(points[1:], ls="none", marker="o", ms=9, mfc=THEME.active, mec=THEME.ink, zorder=4)
     panel.finish()
     middle = (points[1] + joints[3]) / 2.0
     for text, place, offset in (
@@ -113,13 +113,13 @@ def target() -> Figure:
     resolved = pp.resolve_targets(PLANAR, curve)
     figure, axes = empty(2, 3.0)
     drawn = PosturePanel(PLANAR, axes[0])
-    drawn.line(controls, color=palette.START, lw=0.8, ls=(0, (4, 3)), marker="s", ms=5)
-    drawn.line(curve.at(np.linspace(0, curve.length, 300)), color=palette.TARGET, lw=1.6)
+    drawn.line(controls, color=THEME.start, lw=0.8, ls=(0, (4, 3)), marker="s", ms=5)
+    drawn.line(curve.at(np.linspace(0, curve.length, 300)), color=THEME.target, lw=1.6)
     drawn.finish()
     axes[0].set_title("target curve and its control points", **WORDS)
     panel = PosturePanel(PLANAR, axes[1])
     panel.target(resolved)
-    panel.posture(resolved.q, palette.FINAL, "posture of the arm", 2.0)
+    panel.posture(resolved.q, THEME.final, "posture of the arm", 2.0)
     panel.finish()
     axes[1].set_title("target posture: a point on the curve for each control point", **WORDS)
     axes[1].legend(fontsize=8, frameon=False, loc="upper left")
@@ -135,7 +135,7 @@ def ellipsoids() -> Figure:
         panel = PosturePanel(PLANAR, ax)
         chosen = PLANAR.at(q).ellipsoids([6, 12, 19])
         draw_ellipsoids(panel, chosen)
-        panel.posture(q, palette.START, "arm", 2.0)
+        panel.posture(q, THEME.start, "arm", 2.0)
         panel.finish()
         shade_ellipsoids(panel, chosen)
         if ax is not axes[0]:
@@ -154,10 +154,10 @@ def active() -> Figure:
     figure, (ax,) = empty(1, 3.0)
     panel = PosturePanel(PLANAR, ax)
     points = PLANAR.at(q).points
-    panel.line(np.vstack([PLANAR.chain.base, points]), color=palette.MODULES[0], lw=4.0, zorder=3)
-    dots = {"ls": "none", "marker": "o", "ms": 7.5, "mec": palette.INK, "mew": 0.8}
-    panel.line(points, mfc=palette.IDLE, zorder=4, label="not active", **dots)
-    panel.line(points[list(step.active)], mfc=palette.ACTIVE, zorder=5, label="active", **dots)
+    panel.line(np.vstack([PLANAR.chain.base, points]), color=THEME.modules[0], lw=4.0, zorder=3)
+    dots = {"ls": "none", "marker": "o", "ms": 7.5, "mec": THEME.ink, "mew": 0.8}
+    panel.line(points, mfc=THEME.idle, zorder=4, label="not active", **dots)
+    panel.line(points[list(step.active)], mfc=THEME.active, zorder=5, label="active", **dots)
     panel.finish()
     ax.legend(fontsize=9, frameon=False, loc="upper left")
     frame(ax)
@@ -181,7 +181,7 @@ def direct() -> Figure:
             row = int(np.abs(way - share * way[-1]).argmin())
             panel.posture(run.q[row], palette.in_time(share), "_", 1.4)
         for k in (9, 19):
-            panel.line(run.points[:, k], color=palette.QUIET, lw=0.8, ls=(0, (3, 2)), zorder=1)
+            panel.line(run.points[:, k], color=THEME.quiet, lw=0.8, ls=(0, (3, 2)), zorder=1)
         panel.finish()
         ax.set_title(f"{name}:\n{run.path_length_ratio:.2f} times as long as straight lines", **WORDS)
     frame(*axes)
@@ -200,9 +200,9 @@ def limits() -> Figure:
         (axes[1], joints.accelerations, 2.0, "joint acceleration [rad/s²]"),
     ):
         for k, line in enumerate(values.T):
-            ax.plot(joints.time, line, lw=0.8, color=palette.ALONG[k * len(palette.ALONG) // values.shape[1]])
+            ax.plot(joints.time, line, lw=0.8, color=THEME.along[k * len(THEME.along) // values.shape[1]])
         for sign in (-1.0, 1.0):
-            ax.axhline(sign * bound, color=palette.MARK, lw=1.0, ls=(0, (4, 2)))
+            ax.axhline(sign * bound, color=THEME.mark, lw=1.0, ls=(0, (4, 2)))
         format_time_axes(ax, label)
         ax.set_ylim(-1.15 * bound, 1.15 * bound)
     figure.suptitle("20 joints, from base (dark) to tip (light); red: the limits", **WORDS)
@@ -290,7 +290,7 @@ def above_floor(arm: pp.Arm, q: Array) -> tuple[Figure, Axes]:
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     for k in np.arange(-0.4, 1.41, 0.2):
         for ends in ([(k, -0.6, FLOOR), (k, 0.8, FLOOR)], [(-0.4, k - 0.2, FLOOR), (1.4, k - 0.2, FLOOR)]):
-            ax.plot(*on_screen(np.array(ends))[:, :2].T, color=palette.FAINT, lw=0.6, zorder=0)
+            ax.plot(*on_screen(np.array(ends))[:, :2].T, color=THEME.faint, lw=0.6, zorder=0)
     shadow = backbone(arm, q) * (1, 1, 0) + (0, 0, FLOOR)
     ax.plot(*on_screen(shadow)[:, :2].T, color="#E4E4E4", lw=7, zorder=1)
     return figure, ax
@@ -307,9 +307,9 @@ def draw_modules(ax: Axes, arm: pp.Arm, q: Array, width: float, order: Callable[
     for k in range(arm.n_modules):
         first, last = (int(np.abs(stations - end).sum(axis=1).argmin()) for end in ends[k : k + 2])
         part = stations[first : last + 1, :2].T
-        color = palette.MODULES[k % 2]
+        color = THEME.modules[k % 2]
         ax.plot(*part, color=color, lw=width, solid_capstyle="round", zorder=order(float(ends[k, 2])))
-    ax.plot(*ends[:1, :2].T, ls="none", marker="s", ms=11, color=palette.BASE, zorder=4)
+    ax.plot(*ends[:1, :2].T, ls="none", marker="s", ms=11, color=THEME.base, zorder=4)
     return ends
 
 
@@ -317,7 +317,7 @@ def as_frame(
     figure: Figure, ax: Axes, note: str, across: tuple[float, float], upward: tuple[float, float]
 ) -> Image.Image:
     """Return a figure as a frame of an animation, with a note, and what it shows in both directions [m]."""
-    ax.text(0.02, 0.05, note, transform=ax.transAxes, fontsize=9, color=palette.INK)
+    ax.text(0.02, 0.05, note, transform=ax.transAxes, fontsize=9, color=THEME.ink)
     ax.set(xlim=across, ylim=upward, aspect="equal")
     ax.axis("off")
     canvas = FigureCanvasAgg(figure)
@@ -329,19 +329,15 @@ def dragging_frame(arm: pp.Arm, q: Array, controls: Array, curve: pp.Curve, note
     """Draw one frame: the curve with its control points, the arm at q, and their shadows on the floor."""
     figure, ax = above_floor(arm, q)
     polygon = on_screen(controls)
-    ax.plot(*polygon[:, :2].T, color=palette.START, lw=0.9, ls=(0, (4, 3)), zorder=2)
+    ax.plot(*polygon[:, :2].T, color=THEME.start, lw=0.9, ls=(0, (4, 3)), zorder=2)
     line = on_screen(curve.at(np.linspace(0, curve.length, 300)))
-    ax.plot(*line[:, :2].T, color=palette.TARGET, lw=1.4, zorder=8)  # above the arm: it is always seen
+    ax.plot(*line[:, :2].T, color=THEME.target, lw=1.4, zorder=8)  # above the arm: it is always seen
     ends = draw_modules(ax, arm, q, 9, lambda toward: 3.0 + 0.5 * toward)
-    ax.plot(
-        *ends[1:, :2].T, ls="none", marker="o", ms=4, mfc=palette.ACTIVE, mec=palette.INK, mew=0.5, zorder=9
-    )
-    ax.plot(
-        *polygon[1:, :2].T, ls="none", marker="o", ms=7, color=palette.SPARE[0], mec=palette.INK, zorder=9
-    )
+    ax.plot(*ends[1:, :2].T, ls="none", marker="o", ms=4, mfc=THEME.active, mec=THEME.ink, mew=0.5, zorder=9)
+    ax.plot(*polygon[1:, :2].T, ls="none", marker="o", ms=7, color=THEME.spare[0], mec=THEME.ink, zorder=9)
     held = polygon[DRAGGED : DRAGGED + 1, :2].T
-    ax.plot(*held, ls="none", marker="o", ms=11, color=palette.START, mec=palette.INK, zorder=10)
-    ax.plot(*held, ls="none", marker="o", ms=21, mfc="none", mec=palette.FINAL, mew=1.6, zorder=10)
+    ax.plot(*held, ls="none", marker="o", ms=11, color=THEME.start, mec=THEME.ink, zorder=10)
+    ax.plot(*held, ls="none", marker="o", ms=21, mfc="none", mec=THEME.final, mew=1.6, zorder=10)
     return as_frame(figure, ax, note, (-0.32, 1.2), (-0.28, 0.575))
 
 
@@ -388,8 +384,8 @@ def wrapping_frame(arm: pp.Arm, q: Array, can: pp.Cylinder, note: str) -> Image.
     ax.fill(*shadow.T, color="#E4E4E4", zorder=1)
     for k in range(len(low) - 1):  # the mantle, as far as it faces the viewer
         quad = np.array([low[k], low[k + 1], high[k + 1], high[k]])
-        ax.fill(*quad.T, color=palette.SPARE[0], alpha=0.35, lw=0, zorder=5)
-    ax.plot(*high.T, color=palette.INK, lw=0.8, zorder=5.5)
+        ax.fill(*quad.T, color=THEME.spare[0], alpha=0.35, lw=0, zorder=5)
+    ax.plot(*high.T, color=THEME.ink, lw=0.8, zorder=5.5)
     draw_modules(ax, arm, q, 8, lambda toward: (3.0 if toward < middle else 6.0) + 0.5 * toward)
     return as_frame(figure, ax, note, (-0.15, 0.95), (-0.27, 0.349))
 

@@ -24,6 +24,7 @@ from pinposture.motion import Run
 from pinposture.motion.words import headline
 from pinposture.units import ROUNDING, length_text
 from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 from pinposture.viz.panels import (
     format_run_axes,
     mark_projection,
@@ -97,7 +98,7 @@ def draw_final_postures(runs: Mapping[str, Run], title: str, width: float | None
     for i, (run, label, color) in enumerate(named):
         closer.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(named) - 1 - i))
     closer.finish()
-    closer.ax.set_title("final postures alone", fontsize=9, color=palette.INK)
+    closer.ax.set_title("final postures alone", fontsize=9, color=THEME.ink)
     if stacked:  # above both panels
         handles, labels = whole.get_legend_handles_labels()
         if (legend := whole.get_legend()) is not None:
@@ -177,7 +178,7 @@ def draw_planar(
     ax = figure.add_subplot(top[0])
     panel = PosturePanel(first.arm, ax)
     panel.target(first.target)
-    panel.posture(first.q[0], palette.START, "initial posture", width=1.6)
+    panel.posture(first.q[0], THEME.start, "initial posture", width=1.6)
     panel.finish()
     _head(ax, "initial posture and target curve", next(letters))
     handles, labels = ax.get_legend_handles_labels()
@@ -229,7 +230,7 @@ def _keep_labels_inside(ax: Any, distance: float) -> None:
 def _write_key(ax: Axes, named: Mapping[str, Any], told: Sequence[str], columns: int) -> None:
     """Write the legend of handles by their labels, and lines below it, for which there is room."""
     ax.axis("off")
-    style: dict[str, Any] = {"fontsize": 9, "color": palette.INK, "va": "bottom", "linespacing": 1.4}
+    style: dict[str, Any] = {"fontsize": 9, "color": THEME.ink, "va": "bottom", "linespacing": 1.4}
     ax.text(0.02, 0.0, "\n".join(told), transform=ax.transAxes, in_layout=False, **style)
     style = {"loc": "upper left", "fontsize": 9, "frameon": False, "ncols": columns}
     ax.legend(list(named.values()), list(named), **style).set_in_layout(False)
@@ -347,7 +348,7 @@ def _figure(height: float, title: str, width: float | None, columns: int) -> tup
         return Figure(figsize=(inches, height), layout=layout), stacked
     figure = Figure(figsize=(THESIS_FIGURE_WIDTH, height), layout=layout)
     text = "\n".join(textwrap.fill(line, 150) for line in title.splitlines())
-    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
+    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=THEME.ink, parse_math=False)
     return figure, False
 
 
@@ -364,7 +365,7 @@ def _finished(figure: Figure, width: float | None, errors: Sequence[Sequence[Axe
     length = _line_length(figure.get_figwidth() / (1 if stacked else 3), size)
     for ax in figure.axes:
         title = textwrap.fill(ax.get_title(loc="left"), length, break_long_words=False)
-        ax.set_title(title, loc="left", fontsize=size, color=palette.INK)
+        ax.set_title(title, loc="left", fontsize=size, color=THEME.ink)
         if stacked:
             ax.set_ylabel(SHORT_LABELS.get(ax.get_ylabel(), ax.get_ylabel()))
         elif width is not None:

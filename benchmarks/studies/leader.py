@@ -217,11 +217,12 @@ def draw_leader(found: Sequence[Row]) -> Figure:
 
 def _draw(ax: Axes, found: Sequence[Row], shape: str) -> None:
     from pinposture.viz import palette
+    from pinposture.viz.palette import THEME
 
-    inks = (palette.START, palette.FINAL, palette.CONTROLLER_COLORS["projection"])
+    inks = (THEME.start, THEME.final, THEME.controllers["projection"])
     colors = dict(zip(ARMS, inks, strict=True))
     bound = sorted({(each.bending, each.sagitta) for each in found})
-    ax.plot(*zip(*bound, strict=True), color=palette.REST, ls="--", lw=1.0, label="sagitta of a module")
+    ax.plot(*zip(*bound, strict=True), color=THEME.rest, ls="--", lw=1.0, label="sagitta of a module")
     for arm, method in dict.fromkeys((each.arm, each.method) for each in found):
         own = [each for each in found if (each.arm, each.method) == (arm, method)]
         values = [(each.bending, each.body) for each in own if each.body is not None]
@@ -236,6 +237,6 @@ def _draw(ax: Axes, found: Sequence[Row], shape: str) -> None:
     ax.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
     ax.minorticks_off()
     ax.set_xlabel("curvature times module length [rad]", fontsize=9)
-    ax.set_title(shape, fontsize=10, color=palette.INK)
+    ax.set_title(shape, fontsize=10, color=THEME.ink)
     palette.add_grid(ax)
     ax.legend(fontsize=7, frameon=False, loc="upper left")

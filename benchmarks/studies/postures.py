@@ -258,14 +258,14 @@ def _draw_shares(
     ax: Axes, shares: Mapping[tuple[str, str], float], controllers: Sequence[str], title: str
 ) -> None:
     """Draw a cell for each family and controller, with the share in percent."""
-    from pinposture.viz import palette
+    from pinposture.viz.palette import THEME
 
     families = distinct(family for family, _ in shares)
     values = np.array([[shares.get((name, each), np.nan) for each in controllers] for name in families])
     ax.imshow(np.ma.masked_invalid(values), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value):
-            ink = "white" if value > 0.6 else palette.INK
+            ink = "white" if value > 0.6 else THEME.ink
             # Rounded down, so that 100 means all.
             ax.text(
                 column, row, f"{int(100.0 * value + 1e-9)}", ha="center", va="center", fontsize=7, color=ink
@@ -274,4 +274,4 @@ def _draw_shares(
     ax.set_yticks(range(len(families)), families)
     ax.tick_params(labelsize=7, length=0)
     ax.spines[:].set_visible(False)
-    ax.set_title(f"{title} [%]", fontsize=9, color=palette.INK)
+    ax.set_title(f"{title} [%]", fontsize=9, color=THEME.ink)

@@ -216,7 +216,7 @@ def _draw(
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    from pinposture.viz import palette
+    from pinposture.viz.palette import THEME
     from pinposture.viz.postures import PosturePanel
 
     figure = Figure(figsize=(9.0, 8.0))
@@ -231,7 +231,7 @@ def _draw(
         color = mpl.colors.to_hex(colors(0.85 * rank / max(len(found) - 1, 1)))
         panel.posture(found[rank].q, color, f"posture {rank + 1}", width=3.0 if rank == 0 else 1.6)
     style: dict[str, Any] = {"ls": "none", "marker": "*", "ms": 14, "mec": "white", "zorder": 7}
-    panel.line(goal[None, :3], label="goal of the tip", color=palette.MARK, **style)
+    panel.line(goal[None, :3], label="goal of the tip", color=THEME.mark, **style)
     panel.finish(scene)
     figure.legend(loc="upper left", fontsize=9, frameon=False, ncols=2)
     return figure

@@ -19,6 +19,7 @@ from pinposture.collision import Scene
 from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
+from pinposture.viz.palette import THEME
 from pinposture.viz.postures import (
     PosturePanel,
     box_extent,
@@ -37,11 +38,11 @@ MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer t
 
 
 LOADS = (
-    (0.5, palette.REGULAR, "o", "torque up to 50 % of its limit"),
-    (0.8, palette.WORSE, "o", "up to 80 %"),
-    (1.0 + TORQUE_ROUNDING, palette.ACTIVE, "o", "up to 100 %"),
-    (np.finfo(np.float64).max, palette.SINGULAR, "X", "beyond its limit"),
-    (np.inf, palette.REST, "s", "limit not known"),
+    (0.5, THEME.regular, "o", "torque up to 50 % of its limit"),
+    (0.8, THEME.worse, "o", "up to 80 %"),
+    (1.0 + TORQUE_ROUNDING, THEME.active, "o", "up to 100 %"),
+    (np.finfo(np.float64).max, THEME.singular, "X", "beyond its limit"),
+    (np.inf, THEME.rest, "s", "limit not known"),
 )
 """Colour, marker and meaning of a joint by the largest share of its torque limit."""
 
@@ -89,16 +90,16 @@ def plot_arm(
     start = arm.chain.base
     for k, (joints, point) in enumerate(zip(arm.chain.module_slices, state.points, strict=True)):
         line = np.vstack([start, state.origins[joints], point])
-        shade = palette.MODULES[k % 2]
+        shade = THEME.modules[k % 2]
         panel.line(line, color=shade, lw=5.0, solid_capstyle="butt", solid_joinstyle="round", zorder=3)
         start = point
     _draw_axes(panel, state.origins, state.placements.axes, half)
-    dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": palette.INK, "mew": 0.9}
+    dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": THEME.ink, "mew": 0.9}
     panel.line(state.points[:-1], label="control points", zorder=6.7, **dots)
     panel.finish(scene)
     if torques:  # after the base, which the first joint would be behind
         _draw_loads(panel, state)
-    panel.line(state.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
+    panel.line(state.points[-1:], ls="none", marker="D", ms=6.0, color=THEME.ink, label="tip", zorder=7)
     shade_ellipsoids(panel, chosen)
     _fit_figure(figure, panel)
     _number_points(panel, state.points, arm.chain.base, 1.3 * half)
@@ -144,9 +145,9 @@ def _draw_axes(panel: PosturePanel, origins: Array, axes: Array, half: float) ->
     turns = panel.arm.chain.revolute
     facing = (np.linalg.norm(axes @ panel.screen.T, axis=1) < 0.1) & (not panel.spatial)
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 9.0, "mfc": "none", "mew": 1.4}
-    rings["mec"] = palette.TURN
-    bars: dict[str, Any] = {"color": palette.TURN, "lw": 1.8, "solid_capstyle": "round"}
-    slides: dict[str, Any] = {"color": palette.SLIDE, "lw": 2.6, "ls": (0, (1, 0.7))}
+    rings["mec"] = THEME.turn
+    bars: dict[str, Any] = {"color": THEME.turn, "lw": 1.8, "solid_capstyle": "round"}
+    slides: dict[str, Any] = {"color": THEME.slide, "lw": 2.6, "ls": (0, (1, 0.7))}
     turning = "axis of a joint that turns"
     sliding = "axis of a joint that slides"
     for chosen, label, style in (
@@ -181,14 +182,14 @@ def _draw_loads(panel: PosturePanel, state: ArmState) -> None:
     levels = load_levels(state)
     for level, (_, color, marker, meaning) in enumerate(LOADS):
         chosen = levels == level
-        style: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 8.0, "mec": palette.INK, "mew": 0.5}
+        style: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 8.0, "mec": THEME.ink, "mew": 0.5}
         if np.any(chosen):
             panel.line(state.origins[chosen], color=color, label=meaning, zorder=6.6, **style)
 
 
 def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
     """Add the legend of the arm at the bottom and that of the ellipsoids at the top right."""
-    shades = palette.MODULES[: panel.arm.n_modules]
+    shades = THEME.modules[: panel.arm.n_modules]
     for name, shade in zip(("odd modules", "even modules"), shades, strict=False):
         panel.ax.plot([], [], color=shade, lw=5.0, label=name)
     style: dict[str, Any] = {"fontsize": 9, "frameon": False}
@@ -225,4 +226,4 @@ def _number_points(panel: PosturePanel, points: Array, base: Array, offset: floa
             continue
         written.append(place)
         (where,) = np.transpose(panel.coordinates(points[k - 1 : k] + offset * beside[k] @ screen))
-        ax.text(*where, str(k), fontsize=8, ha="center", va="center", color=palette.INK, zorder=8, **halo)
+        ax.text(*where, str(k), fontsize=8, ha="center", va="center", color=THEME.ink, zorder=8, **halo)

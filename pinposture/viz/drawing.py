@@ -41,6 +41,7 @@ from pinposture.viz.body import (
     surface,
     tube,
 )
+from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
@@ -255,10 +256,10 @@ def visual_model(arm: Arm) -> pin.GeometryModel:
     surfaces = arm_surfaces(arm)
     places = neutral_placements(arm.model)
     model = pin.GeometryModel()
-    drawn = [("base", 0, surfaces.base, palette.BASE, pin.SE3.Identity())]
+    drawn = [("base", 0, surfaces.base, THEME.base, pin.SE3.Identity())]
     for u, (body, mesh) in enumerate(zip(bodies(arm), surfaces.bodies, strict=True)):
         joint = arm.model.getJointId(body.joint)
-        shade = palette.MODULES[body.module % len(palette.MODULES)]
+        shade = THEME.modules[body.module % len(THEME.modules)]
         # Body frames are aligned with the world at the neutral configuration.
         placement = pin.SE3(places[joint].rotation.T, np.zeros(3))
         drawn.append((f"body_{u + 1:03d}", joint, mesh, shade, placement))
@@ -572,7 +573,7 @@ def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Tra
     """Return colour and size tracks of a control point, with a key for each change of its activity."""
     changed = np.concatenate([[True], on[1:] != on[:-1]])
     changed[-1] = True  # all tracks must end together, because each restarts when it ends
-    colors = np.where(on[changed, None], palette.rgb(palette.ACTIVE), palette.rgb(palette.IDLE))
+    colors = np.where(on[changed, None], palette.rgb(THEME.active), palette.rgb(THEME.idle))
     sizes = np.where(on[changed, None], 1.0, IDLE_SIZE) * np.ones(3)
     return [
         Track(f"{path}/<object>", "material.color", "color", times[changed], colors, smooth=False),

@@ -28,6 +28,7 @@ from pinposture.placement import Target
 from pinposture.viz import drawing, palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge
 from pinposture.viz.meshcat import MAX_FRAMES, Viewer
+from pinposture.viz.palette import THEME
 
 logger = logging.getLogger(__name__)
 
@@ -258,7 +259,7 @@ class FoxgloveViewer(Viewer):
             entities.append(self._entity("target", self._world, **self._outline(target)))
         if again or scene is not around:
             shown = drawing.shown_obstacles(scene, drawing.scene_points(self.arm, None, target))
-            solids = [self._surface(each.surface, palette.OBSTACLE, palette.SEE_THROUGH) for each in shown]
+            solids = [self._surface(each.surface, THEME.obstacle, THEME.see_through) for each in shown]
             entities.append(self._entity("obstacles", self._world, triangles=solids))
         return self._messages.SceneUpdate(entities=entities)
 
@@ -274,10 +275,10 @@ class FoxgloveViewer(Viewer):
         self._links = [names.get(joint, model.names[joint]) for joint in joints]
         self._turns = np.array([places[joint].rotation for joint in joints])
         self._bodies = [
-            self._entity("base", self._world, triangles=[self._surface(surfaces.base, palette.BASE)])
+            self._entity("base", self._world, triangles=[self._surface(surfaces.base, THEME.base)])
         ]
         for body, link, turn, mesh in zip(listed, self._links, self._turns, surfaces.bodies, strict=True):
-            shade = palette.MODULES[body.module % len(palette.MODULES)]
+            shade = THEME.modules[body.module % len(THEME.modules)]
             drawn = self._surface(TriangleMesh(mesh.vertices @ turn, mesh.faces), shade)
             self._bodies.append(self._entity(f"link {link}", link, triangles=[drawn]))
 
@@ -290,12 +291,12 @@ class FoxgloveViewer(Viewer):
         lines = [
             m.LinePrimitive(points=self._points(line), color=self._color(color), **style)
             for color, pieces in zip(
-                (palette.TARGET, palette.REST), drawing.outline(self.arm, target), strict=True
+                (THEME.target, THEME.rest), drawing.outline(self.arm, target), strict=True
             )
             for line in pieces
         ]
         balls = merge([ball(point, 0.84 * radius, 1) for point in target.points[target.has_target]])
-        return {"lines": lines, "triangles": [self._surface(balls, palette.TARGET)]}
+        return {"lines": lines, "triangles": [self._surface(balls, THEME.target)]}
 
     def _entity(self, name: str, frame: str, **drawn: Any) -> Any:
         return self._messages.SceneEntity(id=name, frame_id=frame, frame_locked=True, **drawn)

@@ -12,6 +12,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion.identification import DriveEstimate, Estimate, Identification, Prediction
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
+from pinposture.viz.palette import THEME
 from pinposture.viz.panels import add_legend
 
 
@@ -62,9 +63,9 @@ def _plot_followed(found: Mapping[str, Prediction], ax: Axes, unit: str) -> None
     name = max(found, key=lambda each: float(np.ptp(found[each].measured)))
     shown = found[name]
     time = shown.time - shown.time[0]
-    ax.plot(time, shown.sent, color=palette.REST, lw=1.2, label="command")
-    ax.plot(time, shown.measured, color=palette.START, lw=1.6, label="measured")
-    ax.plot(time, shown.predicted, color=palette.ACTIVE, lw=1.2, label="predicted")
+    ax.plot(time, shown.sent, color=THEME.rest, lw=1.2, label="command")
+    ax.plot(time, shown.measured, color=THEME.start, lw=1.6, label="measured")
+    ax.plot(time, shown.predicted, color=THEME.active, lw=1.2, label="predicted")
     palette.format_time_axes(ax, f"{name} [{unit}]")
     add_legend(ax)
 
@@ -87,11 +88,11 @@ def _plot_numbers(identification: Identification, name: str, unit: str, ax: Axes
     for place, number in known:
         if number is not None:
             ends = [[number.value - number.lower], [number.upper - number.value]]
-            ax.errorbar(place, number.value, ends, color=palette.START, marker="o", ms=3, lw=1.0, capsize=2)
+            ax.errorbar(place, number.value, ends, color=THEME.start, marker="o", ms=3, lw=1.0, capsize=2)
     shared = _number(identification.drives, name)
     if shared is not None:
-        ax.axhspan(shared.lower, shared.upper, color=palette.ACTIVE, alpha=palette.SHEER, lw=0.0)
-        ax.axhline(shared.value, color=palette.ACTIVE, lw=1.2)
+        ax.axhspan(shared.lower, shared.upper, color=THEME.active, alpha=THEME.sheer, lw=0.0)
+        ax.axhline(shared.value, color=THEME.active, lw=1.2)
     ax.set_xlabel("joint, from base to tip", fontsize=9)
     ax.set_ylabel(f"{name} [{unit}]", fontsize=9)
     ax.set_xlim(0.0, len(names) + 1.0)

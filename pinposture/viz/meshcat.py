@@ -43,6 +43,7 @@ from pinposture.units import length_text
 from pinposture.viz import drawing, palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge, tube
 from pinposture.viz.drawing import ROOT, Timeline, Track, playback, require_fitting
+from pinposture.viz.palette import THEME
 from pinposture.viz.panels import has_clearance
 from pinposture.viz.postures import (
     INDEX_LABELS,
@@ -193,12 +194,12 @@ def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
     """Draw the arm at a configuration, (nq,): a mesh per body, and control points fixed to the bodies."""
     radius = drawing.link_radius(arm)
     surfaces = drawing.arm_surfaces(arm)
-    add(viewer, f"{ROOT}/arm/base", surfaces.base, palette.BASE)
+    add(viewer, f"{ROOT}/arm/base", surfaces.base, THEME.base)
     for u, body in enumerate(bodies(arm)):
-        shade = palette.MODULES[body.module % len(palette.MODULES)]
+        shade = THEME.modules[body.module % len(THEME.modules)]
         add(viewer, f"{drawing.body_path(u)}/link", surfaces.bodies[u], shade)
         if body.point is not None:
-            add(viewer, drawing.point_path(u), BallGeometry(drawing.POINT_SIZE * radius), palette.IDLE)
+            add(viewer, drawing.point_path(u), BallGeometry(drawing.POINT_SIZE * radius), THEME.idle)
             viewer[drawing.point_path(u)].set_transform(_transform(body.point, drawing.IDLE_SIZE))
     pose_arm(viewer, arm, q)
 
@@ -212,14 +213,14 @@ def pose_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
 def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
     """Draw the line of the target, if known, and the target points."""
     radius = 0.3 * drawing.link_radius(arm)
-    colors = {"covered": palette.TARGET, "rest": palette.REST}
+    colors = {"covered": THEME.target, "rest": THEME.rest}
     for part, lines in drawing.outline(arm, target)._asdict().items():
         paths = [path for path in map(without_repeats, lines) if len(path) > 1]
         if paths:
             add(viewer, f"{ROOT}/target/{part}", merge([tube(path, radius) for path in paths]), colors[part])
     dots = [ball(point, 2.8 * radius, 1) for point in target.points[target.has_target]]
     if dots:
-        add(viewer, f"{ROOT}/target/points", merge(dots), palette.TARGET)
+        add(viewer, f"{ROOT}/target/points", merge(dots), THEME.target)
 
 
 def add_moving_targets(viewer: Visualizer, motion: Trajectory, places: Sequence[palette.Place]) -> None:
@@ -238,15 +239,15 @@ def add_moving_targets(viewer: Visualizer, motion: Trajectory, places: Sequence[
     for k in drawing.targeted_points(motion):
         size = 1.0 if motion.target_mask[0, k] else drawing.NO_SIZE
         turn = Rotation.from_quat(turns[0, k]).as_matrix()
-        add(viewer, drawing.hoop_path(k), hoop, palette.TARGET)
+        add(viewer, drawing.hoop_path(k), hoop, THEME.target)
         viewer[drawing.hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
 
 
 def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) -> None:
     """Draw translucent obstacles."""
-    opacity = palette.SHEER if len(shown) > drawing.MANY_OBSTACLES else palette.SEE_THROUGH
+    opacity = THEME.sheer if len(shown) > drawing.MANY_OBSTACLES else THEME.see_through
     for number, each in enumerate(shown, start=1):
-        add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, palette.OBSTACLE, opacity)
+        add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, THEME.obstacle, opacity)
 
 
 def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
@@ -523,15 +524,15 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
         target: whether a fixed target is drawn.
         scale: the scale of ellipsoids in words; empty without ellipsoids.
     """
-    entries = [("target", palette.TARGET)] if target else []
+    entries = [("target", THEME.target)] if target else []
     if shown.motion is not None:
-        entries = [("current target", palette.TARGET)]
+        entries = [("current target", THEME.target)]
     if shown.run.steps:
-        entries += [("active control point", palette.ACTIVE), ("idle", palette.IDLE)]
+        entries += [("active control point", THEME.active), ("idle", THEME.idle)]
     else:
-        entries.append(("control point", palette.IDLE))
+        entries.append(("control point", THEME.idle))
     if drawn.obstacles:
-        entries.append(("obstacle", palette.OBSTACLE))
+        entries.append(("obstacle", THEME.obstacle))
     lines = [_color_key(entries)]
     if shown.motion is not None:
         speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as recorded"
@@ -677,7 +678,7 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
         title=html.escape(ending),
         reason=html.escape(f"{reason}; {extent}"),
         legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
-        ink=palette.INK,
+        ink=THEME.ink,
         end=shown.end / shown.fps,
         aspect=ASPECT,
         viewer=_viewer_script(),

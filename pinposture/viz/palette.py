@@ -10,6 +10,7 @@ import ast
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -27,47 +28,102 @@ from pinposture.control import registry
 from pinposture.motion import Run, Trajectory
 from pinposture.units import BELOW_ROUNDING, length_text
 
-START = "#0072B2"  # initial posture
-FINAL = "#6A51A3"  # final posture of a controller without a colour of its own
-TARGET = "#000000"  # target curve and target points
-REST = "#9A9A9A"  # the target curve beyond the reach of the arm, and other secondary items
-CONTROLLER_COLORS = {  # by controller name
-    "selection": "#D55E00",
-    "projection": "#009E73",
-    "switching": "#CC79A7",
-    "geodesic": "#E69F00",
-}
-SPARE = ("#56B4E9", "#8C510A", "#6A51A3", "#666666")  # runs whose controllers have no colour or share one
 
-MODULES = ("#4F779F", "#A3B8CC")  # odd and even modules
-ALONG = ("#440154", "#46327E", "#365C8D", "#277F8E", "#1FA187", "#4AC16D", "#A0DA39")  # from base to tip
-IN_TIME = ("#EDB458", "#DD6E42", "#B23A5B", "#6A2470", "#2A1350")  # from the first posture to the last
-TURN = "#B03A6F"  # axis of a revolute joint
-SLIDE = "#0B7A5B"  # axis of a prismatic joint
-BASE = "#4A5560"  # base of the arm
-ACTIVE = "#E69F00"  # a control point in the active control set
-IDLE = "#FFFFFF"  # an inactive control point
+class Theme(NamedTuple):
+    """Colours and opacities of all figures, animations and the editor."""
 
-OBSTACLE = "#94897A"
-SEE_THROUGH = 0.45  # opacity of a few obstacles
-SHEER = 0.18  # opacity of many obstacles behind each other
+    start: str = "#0072B2"
+    """Initial posture."""
 
-# Manipulability ellipsoids with index 0, a quarter of `REGULAR_INDEX`, and `REGULAR_INDEX` or more.
-SINGULAR = "#CC2A1E"
-WORSE = "#D6CB2A"
-REGULAR = "#009E73"
-REGULAR_INDEX = 0.4
+    final: str = "#6A51A3"
+    """Final posture of a controller without a colour of its own."""
 
-ESCAPE = "#E4D9F2"  # background of steps in which the posture error may rise
-MARK = "#CC0000"  # marked steps, as on the step axis of Figure 6.12 of the thesis
-INK = "#333333"  # text and axes
-QUIET = "#707070"  # footnotes
-FAINT = "#DDDDDD"  # grid lines
+    target: str = "#000000"
+    """Target curve and target points."""
+
+    rest: str = "#9A9A9A"
+    """The target curve beyond the reach of the arm, and other secondary items."""
+
+    controllers: Mapping[str, str] = MappingProxyType(
+        {
+            "selection": "#D55E00",
+            "projection": "#009E73",
+            "switching": "#CC79A7",
+            "geodesic": "#E69F00",
+        }
+    )
+    """Final postures, by the name of the controller."""
+
+    spare: tuple[str, ...] = ("#56B4E9", "#8C510A", "#6A51A3", "#666666")
+    """Runs whose controllers have no colour or share one."""
+
+    modules: tuple[str, str] = ("#4F779F", "#A3B8CC")
+    """Odd and even modules."""
+
+    along: tuple[str, ...] = ("#440154", "#46327E", "#365C8D", "#277F8E", "#1FA187", "#4AC16D", "#A0DA39")
+    """Modules from base to tip, where each has its colour."""
+
+    times: tuple[str, ...] = ("#EDB458", "#DD6E42", "#B23A5B", "#6A2470", "#2A1350")
+    """Postures from the first to the last."""
+
+    turn: str = "#B03A6F"
+    """Axis of a revolute joint."""
+
+    slide: str = "#0B7A5B"
+    """Axis of a prismatic joint."""
+
+    base: str = "#4A5560"
+    """Base of the arm."""
+
+    active: str = "#E69F00"
+    """A control point in the active control set."""
+
+    idle: str = "#FFFFFF"
+    """An inactive control point."""
+
+    obstacle: str = "#94897A"
+    """Obstacles."""
+
+    see_through: float = 0.45
+    """Opacity of a few obstacles."""
+
+    sheer: float = 0.18
+    """Opacity of many obstacles behind each other."""
+
+    singular: str = "#CC2A1E"
+    """Manipulability ellipsoid of index 0."""
+
+    worse: str = "#D6CB2A"
+    """Manipulability ellipsoid of a quarter of `regular_index`."""
+
+    regular: str = "#009E73"
+    """Manipulability ellipsoid of `regular_index` or more."""
+
+    regular_index: float = 0.4
+    """Manipulability index from which on ellipsoids have one colour."""
+
+    escape: str = "#E4D9F2"
+    """Background of steps in which the posture error may rise."""
+
+    mark: str = "#CC0000"
+    """Marked steps, as on the step axis of Figure 6.12 of the thesis."""
+
+    ink: str = "#333333"
+    """Text and axes."""
+
+    quiet: str = "#707070"
+    """Footnotes."""
+
+    faint: str = "#DDDDDD"
+    """Grid lines."""
+
+
+THEME = Theme()
 
 
 def controller_color(controller: str) -> str:
     """Return the colour of a controller, given by name or by its description in a run."""
-    return CONTROLLER_COLORS.get(controller.partition("(")[0].strip().lower(), FINAL)
+    return THEME.controllers.get(controller.partition("(")[0].strip().lower(), THEME.final)
 
 
 def distinct_colors(controllers: Iterable[str]) -> list[str]:
@@ -75,7 +131,7 @@ def distinct_colors(controllers: Iterable[str]) -> list[str]:
     colors: list[str] = []
     for controller in controllers:
         own = controller_color(controller)
-        free = [color for color in (own, *SPARE, *CONTROLLER_COLORS.values()) if color not in colors]
+        free = [color for color in (own, *THEME.spare, *THEME.controllers.values()) if color not in colors]
         colors.append(free[0] if free else own)
     return colors
 
@@ -85,21 +141,23 @@ def index_color(index: float) -> str:
 
     There are 33 colours, so that small motions of the arm do not change the colour.
     """
-    share = round(32.0 * min(index / REGULAR_INDEX, 1.0) ** 0.5) / 16.0  # 0 to 1 to 2 along three colours
-    before = SINGULAR
-    after = WORSE
+    share = (
+        round(32.0 * min(index / THEME.regular_index, 1.0) ** 0.5) / 16.0
+    )  # 0 to 1 to 2 along three colours
+    before = THEME.singular
+    after = THEME.worse
     if share > 1.0:
         share = share - 1.0
-        before = WORSE
-        after = REGULAR
+        before = THEME.worse
+        after = THEME.regular
     return mixed(before, after, share)
 
 
 def in_time(share: float) -> str:
     """Return the colour of a posture at a fraction of its motion in [0, 1]."""
-    along = share * (len(IN_TIME) - 1)
-    before = min(int(along), len(IN_TIME) - 2)
-    return mixed(IN_TIME[before], IN_TIME[before + 1], along - before)
+    along = share * (len(THEME.times) - 1)
+    before = min(int(along), len(THEME.times) - 2)
+    return mixed(THEME.times[before], THEME.times[before + 1], along - before)
 
 
 def mixed(color: str, other: str, share: float) -> str:
@@ -146,7 +204,7 @@ def add_grid(ax: Axes) -> None:
     """Draw a grid behind everything else, and remove the frame."""
     ax.tick_params(labelsize=8)
     ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(color=FAINT, lw=0.6)
+    ax.grid(color=THEME.faint, lw=0.6)
     ax.set_axisbelow(True)
 
 
@@ -246,7 +304,7 @@ def _beside(ax: Axes, place: tuple[float, float]) -> tuple[int, int, str, str]:
 
 def colors_along(count: int) -> tuple[LinearSegmentedColormap, Normalize]:
     """Return the colours of items numbered from base to tip, 1 to `count`."""
-    return LinearSegmentedColormap.from_list("along the arm", ALONG), Normalize(1, max(count, 2))
+    return LinearSegmentedColormap.from_list("along the arm", THEME.along), Normalize(1, max(count, 2))
 
 
 def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any) -> None:
@@ -284,7 +342,7 @@ def share_axis(panels: Sequence[Axes]) -> None:
 def add_title(figure: Figure, sentences: Sequence[str]) -> None:
     """Write sentences above the panels, each on its own line, wrapped if long, and move values apart."""
     text = "\n".join(textwrap.fill(sentence, 145) for sentence in sentences)
-    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=INK, parse_math=False)
+    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=THEME.ink, parse_math=False)
     figure.draw_without_rendering()  # lays it out
     for ax in figure.axes:
         _move_values_apart(ax)
@@ -306,7 +364,7 @@ def _move_values_apart(ax: Axes) -> None:
 def add_footnote(figure: Figure, *details: str) -> None:
     """Write details below the panels; empty ones are left out."""
     text = textwrap.fill(textwrap.shorten("; ".join(filter(None, details)), 500), 190)
-    figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=QUIET, parse_math=False)
+    figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=THEME.quiet, parse_math=False)
 
 
 LAP = re.compile(r", lap \d+$")  # in the name of a keyframe of a repeated tour

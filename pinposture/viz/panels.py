@@ -20,6 +20,7 @@ from pinposture.motion.words import in_words, title
 from pinposture.units import BELOW_ROUNDING, ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
+from pinposture.viz.palette import THEME
 from pinposture.viz.postures import (
     PosturePanel,
     draw_intermediate_postures,
@@ -53,7 +54,7 @@ def marker(count: int) -> str:
 
 
 def _note(ax: Axes, text: str) -> None:
-    ax.set_title(text, fontsize=8, loc="right", color=palette.INK)
+    ax.set_title(text, fontsize=8, loc="right", color=THEME.ink)
 
 
 def has_singular_values(run: Run) -> bool:
@@ -175,9 +176,9 @@ def _plot_on_second_axis(run: Run, ax: Axes, values: Array, label: str) -> None:
     """Plot a value per step as a dashed line with its own axis on the right."""
     other = ax.twinx()
     style: dict[str, Any] = {"lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker(run.steps), "ms": 3}
-    other.plot(places_of(run)[1:], values, color=palette.INK, **style)
+    other.plot(places_of(run)[1:], values, color=THEME.ink, **style)
     palette.scale_values(other)
-    other.set_ylabel(label, fontsize=9, color=palette.INK)
+    other.set_ylabel(label, fontsize=9, color=THEME.ink)
     other.tick_params(labelsize=8)
     other.spines[["top", "left", "bottom"]].set_visible(False)
 
@@ -189,7 +190,7 @@ def mark_projection(run: Run, ax: Axes) -> None:
 
 
 def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **style: Any) -> None:
-    style |= {"ls": "none", "color": palette.MARK, "label": label, "clip_on": False, "zorder": 6}
+    style |= {"ls": "none", "color": THEME.mark, "label": label, "clip_on": False, "zorder": 6}
     ax.plot(places, np.zeros(len(places)), transform=ax.get_xaxis_transform(), **style)
 
 
@@ -230,7 +231,7 @@ def plot_clearance(
         margin = f"margin to keep, {length_text(run.scene.margin)}"
         if margin not in [line.get_label() for line in ax.get_lines()]:
             ends = [0.0, places[-1] or 1.0]
-            ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=DASHES, label=margin)
+            ax.plot(ends, [run.scene.margin] * 2, color=THEME.ink, lw=1.0, ls=DASHES, label=margin)
     format_run_axes(ax, run, "clearance")
     palette.scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
@@ -255,7 +256,7 @@ def mark_rising_steps(run: Run, ax: Axes) -> None:
         ends = [(float(places[block[0]]), float(places[block[-1] + 1])) for block in blocks]
         spans = [(begin, end - begin) for begin, end in ends]
         label = f"{len(steps)} step{'s' * (len(steps) > 1)} in which the error may rise"
-        style: dict[str, Any] = {"color": palette.ESCAPE, "lw": 0.0, "zorder": 0.5, "label": label}
+        style: dict[str, Any] = {"color": THEME.escape, "lw": 0.0, "zorder": 0.5, "label": label}
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **style)
 
 
@@ -320,7 +321,7 @@ def plot_error(motion: Trajectory, ax: Axes) -> None:
     mark_rising_steps(run, ax)
     mark_violations(run, ax)
     if motion.start_index:
-        style = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
+        style = {"color": THEME.faint, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
         ax.axvspan(0.0, motion.time[motion.start_index], label="moving to the first posture", **style)
     add_legend(ax)
 
@@ -330,14 +331,14 @@ def plot_joint_rates(motion: Trajectory, ax: Axes) -> None:
     speeds, accelerations = limit_shares(motion.run)
     largest = 1.0
     if accelerations is not None:
-        ax.plot(motion.time, accelerations, color=palette.SPARE[0], lw=1.0, label="acceleration")
+        ax.plot(motion.time, accelerations, color=THEME.spare[0], lw=1.0, label="acceleration")
         largest = max(largest, float(accelerations.max()))
     if speeds is not None:
         style: dict[str, Any] = {"lw": 1.6, "label": "speed", "marker": marker(motion.steps)}
-        ax.plot(motion.time[1:] - motion.dt / 2.0, speeds, color=palette.SPARE[2], **style)
+        ax.plot(motion.time[1:] - motion.dt / 2.0, speeds, color=THEME.spare[2], **style)
         largest = max(largest, float(speeds.max(initial=0.0)))
     ends = [0.0, float(motion.time[-1]) or 1.0]
-    ax.plot(ends, [1.0, 1.0], color=palette.INK, lw=1.0, ls=DASHES, label="limit")
+    ax.plot(ends, [1.0, 1.0], color=THEME.ink, lw=1.0, ls=DASHES, label="limit")
     palette.format_time_axes(ax, "largest of all joints\n[share of limit]")
     ax.set_ylim(-0.03 * largest, 1.12 * largest)
     add_legend(ax)
@@ -347,9 +348,9 @@ def plot_plan_time(motion: Trajectory, ax: Axes) -> None:
     """Plot plan time over real time, as executed and as planned."""
     begin = float(motion.time[motion.start_index])
     plan = [0.0, begin, begin + motion.planned]
-    ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
+    ax.plot(plan, [0.0, 0.0, motion.planned], color=THEME.ink, lw=1.0, ls=DASHES, label="as planned")
     label = f"as executed, {motion.time_scale:.3g} times as long"
-    ax.plot(motion.time, motion.plan_time, color=palette.SPARE[1], lw=1.6, label=label)
+    ax.plot(motion.time, motion.plan_time, color=THEME.spare[1], lw=1.6, label=label)
     palette.format_time_axes(ax, "plan time [s]")
     ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
     add_legend(ax)
@@ -374,7 +375,7 @@ def mark_places(places: Sequence[palette.Place], panels: Sequence[Axes], times: 
         for (before, other), (at, name) in pairwise(names)
     )
     for at, name in names:
-        style: dict[str, Any] = {"fontsize": 8, "color": palette.INK, "parse_math": False, "va": "bottom"}
+        style: dict[str, Any] = {"fontsize": 8, "color": THEME.ink, "parse_math": False, "va": "bottom"}
         style |= {"rotation": 30, "ha": "left", "rotation_mode": "anchor"} if slanted else {"ha": "center"}
         where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
         first.annotate(name, (at / scale, 1.0), xytext=(0, above), annotation_clip=False, **where, **style)
@@ -441,9 +442,9 @@ def plot_places(motion: Trajectory, ax: Axes) -> None:
     rows = [group[0].row for group in groups]
     targets = [motion.targets[row][motion.target_mask[row]] for row in rows or [motion.steps]]
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
-    panel.line(np.vstack(targets), label="target points", zorder=3, mec=palette.TARGET, **rings)
+    panel.line(np.vstack(targets), label="target points", zorder=3, mec=THEME.target, **rings)
     if motion.start_index or not groups:
-        panel.posture(run.q[0], palette.START, "initial posture", width=1.2)
+        panel.posture(run.q[0], THEME.start, "initial posture", width=1.2)
     for group in groups:
         label = "; ".join(f"{place.name}, {motion.time[place.row]:.3g} s" for place in group)
         panel.posture(run.q[group[0].row], group[0].color, label, 2.2)

@@ -36,6 +36,7 @@ from pinposture.viz.drawing import (
     shown_obstacles,
     view_axes,
 )
+from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
@@ -118,19 +119,19 @@ class PosturePanel:
         The line is bold only between consecutive target points.
         """
         lines = outline(self.arm, target)
-        style: dict[str, Any] = {"color": palette.TARGET, "zorder": 3, "solid_capstyle": "round"}
+        style: dict[str, Any] = {"color": THEME.target, "zorder": 3, "solid_capstyle": "round"}
         known = "posture" if target.curve is None else "curve"
         if lines.covered:
             self.line(_join(lines.covered), lw=1.4, label=f"target {known}", **style)
         if lines.rest:
             label = f"rest of the {known}"
             dashes = (0, (4, 2))
-            self.line(_join(lines.rest), color=palette.REST, lw=0.9, ls=dashes, zorder=2, label=label)
+            self.line(_join(lines.rest), color=THEME.rest, lw=0.9, ls=dashes, zorder=2, label=label)
         if not (lines.covered or lines.rest):
             points = np.where(target.has_target[:, None], target.points, np.nan)
             joined = np.vstack([self.arm.chain.base, points])
             self.ax.plot(*self.coordinates(joined), lw=1.0, ls=(0, (1, 1.5)), **style)
-        rings = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mec": palette.TARGET, "mew": 0.8}
+        rings = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mec": THEME.target, "mew": 0.8}
         self.line(target.points[target.has_target], label="target points", zorder=3, **rings)
 
     def finish(self, *scenes: Scene | None) -> None:
@@ -140,7 +141,7 @@ class PosturePanel:
         points = np.vstack([self.drawn, base]) if distinct else base
         obstacles = [each for scene in distinct for each in shown_obstacles(scene, points)]
         self._obstacle_corners = shown_corners(obstacles)
-        self.line(base, zorder=6, ls="none", marker="s", ms=6.5, color=palette.BASE, label="base")
+        self.line(base, zorder=6, ls="none", marker="s", ms=6.5, color=THEME.base, label="base")
         if self.spatial:
             _frame_space(self.ax, self.drawn)
         else:
@@ -179,8 +180,8 @@ def _frame_space(ax: Any, points: Array) -> None:
         places = locator.tick_values(center - size, center + size)
         # No ticks at the corners, where the scales of two axes meet.
         axis.set_ticks(places[np.abs(places - center) < 0.9 * size])
-        axis.pane.set(facecolor="none", edgecolor=palette.FAINT)
-        axis._axinfo["grid"].update(color=palette.FAINT, linewidth=0.6)  # there is no public method
+        axis.pane.set(facecolor="none", edgecolor=THEME.faint)
+        axis._axinfo["grid"].update(color=THEME.faint, linewidth=0.6)  # there is no public method
         axis.set_label_text(f"{name} [m]", fontsize=9)
         # Labels are shifted relative to the other two scales, which may be short.
         slender = float(half.max() / np.delete(half, "xyz".index(name)).max())
@@ -206,7 +207,7 @@ def box_extent(ax: Any) -> Array:
 VEIL_SHARE = 0.6  # share of the obstacle colour in that of a line behind it
 VEIL_SEGMENTS = 400  # number of segments per picture size into which lines are split to find hidden parts
 MAX_DOTS = 4000  # number of points drawn of a scan or a hollow mesh, at most about this
-EDGE_COLOR = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)  # colour of outlines
+EDGE_COLOR = palette.mixed(THEME.obstacle, THEME.ink, 0.35)  # colour of outlines
 
 
 def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None:
@@ -231,14 +232,14 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
     label += " (clipped)" if any(each.cut for each in near) else ""
     label += f", {len(shown) - len(near)} far off" if len(near) < len(shown) else ""
     square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": EDGE_COLOR, "mew": 0.7}
-    panel.ax.plot([], [], mfc=(*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH), label=label, **square)
+    panel.ax.plot([], [], mfc=(*palette.rgb(THEME.obstacle), THEME.see_through), label=label, **square)
 
 
 def _draw_dots(panel: PosturePanel, points: Array) -> None:
     """Draw the points of a scan or a hollow mesh."""
     shown = points[:: 1 + len(points) // MAX_DOTS]
     style: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 2.0, "mew": 0.0, "zorder": 0.55}
-    panel.ax.plot(*panel.coordinates(shown), color=palette.OBSTACLE, alpha=palette.SEE_THROUGH, **style)
+    panel.ax.plot(*panel.coordinates(shown), color=THEME.obstacle, alpha=THEME.see_through, **style)
 
 
 def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:
@@ -267,8 +268,8 @@ def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:
 
 def _shade(level: float) -> tuple[float, float, float, float]:
     """Return the colour of a face from the cosine between its normal and the light."""
-    other = "#FFFFFF" if level > 0.0 else palette.INK
-    return (*palette.rgb(palette.mixed(palette.OBSTACLE, other, 0.55 * abs(level))), palette.SEE_THROUGH)
+    other = "#FFFFFF" if level > 0.0 else THEME.ink
+    return (*palette.rgb(palette.mixed(THEME.obstacle, other, 0.55 * abs(level))), THEME.see_through)
 
 
 def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
@@ -288,7 +289,7 @@ def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
             style = {**line.style, "label": "_", "zorder": line.style["zorder"] + 0.001}
             for key in ("color", "mfc", "mec"):
                 if str(style.get(key, "")).startswith("#"):
-                    style[key] = palette.mixed(style[key], palette.OBSTACLE, VEIL_SHARE)
+                    style[key] = palette.mixed(style[key], THEME.obstacle, VEIL_SHARE)
             panel.ax.plot(*panel.coordinates(np.where(behind[:, None], points, np.nan)), **style)
 
 
@@ -305,7 +306,7 @@ def _subdivide(points: Array, finest: float) -> Array:
 def _draw_sections(panel: PosturePanel, solids: Sequence[Array]) -> None:
     ax: Axes = panel.ax
     edge: dict[str, Any] = {"edgecolor": EDGE_COLOR, "lw": 0.8, "zorder": 0.6}
-    face = (*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH)
+    face = (*palette.rgb(THEME.obstacle), THEME.see_through)
     for solid in solids:
         cross = section(solid, panel.arm.chain.base, panel.screen)
         rim = convex_outline(solid @ panel.screen.T)
@@ -341,7 +342,7 @@ def draw_runs(runs: Sequence[tuple[Run, str, str]], ax: Axes) -> None:
     starts: list[Array] = []
     for run, _, _ in runs:
         if not any(np.array_equal(run.q[0], start) for start in starts):
-            panel.posture(run.q[0], palette.START, "initial posture" if not starts else "_", width=1.2)
+            panel.posture(run.q[0], THEME.start, "initial posture" if not starts else "_", width=1.2)
             starts.append(run.q[0])
     for i, (run, label, color) in enumerate(runs):
         panel.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(runs) - 1 - i))
@@ -369,9 +370,9 @@ def draw_intermediate_postures(panel: PosturePanel, run: Run, color: str, rows: 
 LARGEST_RADIUS = 0.2  # approximate maximum drawn radius, relative to the arm length
 ELLIPSE_SIDES = 48  # number of sides of the polygon that approximates an ellipse
 INDEX_LABELS = {  # index (4.4) by the colour of an ellipsoid
-    palette.SINGULAR: "0, singular",
-    palette.WORSE: f"{palette.REGULAR_INDEX / 4:g}",
-    palette.REGULAR: f"{palette.REGULAR_INDEX:g} and more",
+    THEME.singular: "0, singular",
+    THEME.worse: f"{THEME.regular_index / 4:g}",
+    THEME.regular: f"{THEME.regular_index:g} and more",
 }
 
 

@@ -13,6 +13,7 @@ from pinposture.motion.words import title
 from pinposture.sim import Simulation
 from pinposture.units import ROUNDING
 from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 from pinposture.viz.panels import add_legend, marker
 
 
@@ -50,10 +51,10 @@ def plot_simulation(simulation: Simulation) -> Figure:
 
 def _plot_point_errors(simulation: Simulation, ax: Axes) -> None:
     """Plot the mean point error relative to the set points and, if any, to the targets."""
-    lines = {"to the set points": (simulation.point_errors.mean(axis=1), palette.FINAL)}
+    lines = {"to the set points": (simulation.point_errors.mean(axis=1), THEME.final)}
     if simulation.target_errors is not None and simulation.weights is not None:
         targeted = np.maximum((simulation.weights > 0.0).sum(axis=1), 1)
-        lines["to the targets"] = (simulation.target_errors.sum(axis=1) / targeted, palette.TARGET)
+        lines["to the targets"] = (simulation.target_errors.sum(axis=1) / targeted, THEME.target)
     for label, (values, color) in lines.items():
         ax.plot(
             simulation.time, values, color=color, lw=1.8, label=label, marker=marker(len(simulation.time))
@@ -80,9 +81,9 @@ def _plot_torques(simulation: Simulation, ax: Axes) -> None:
     palette.format_time_axes(ax, "torque [% of limit]")
     if float(np.abs(shares).max()) > 50.0:
         for limit in (-100.0, 100.0):
-            ax.axhline(limit, color=palette.REST, lw=1.0, zorder=0)
+            ax.axhline(limit, color=THEME.rest, lw=1.0, zorder=0)
     if not np.all(limited):
-        ax.set_title("joints without a limit at 0", fontsize=8, loc="right", color=palette.INK)
+        ax.set_title("joints without a limit at 0", fontsize=8, loc="right", color=THEME.ink)
 
 
 def _plot_joints(simulation: Simulation, values: NDArray[np.float64], ax: Axes) -> None:

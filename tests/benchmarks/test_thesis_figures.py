@@ -17,6 +17,7 @@ from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
+from pinposture.viz.palette import THEME
 from pinposture.viz.panels import mark_projection, plot_point_count, plot_points_and_index
 
 
@@ -89,7 +90,7 @@ def test_points_used_are_dots_at_their_steps(selection):
         (step + 1, point + 1) for step, points in enumerate(selection.active_sets) for point in points
     }
     assert line.get_linestyle() == "None"
-    assert line.get_color() == palette.CONTROLLER_COLORS["selection"]
+    assert line.get_color() == THEME.controllers["selection"]
     assert ax.get_ylim() == (0, 6) and ax.get_xlim()[1] > selection.steps
 
 
@@ -115,7 +116,7 @@ def test_steps_of_a_method_are_red_dots_on_the_step_axis(selection):
     dots = ax.get_lines()[-1]
     assert dots.get_xdata().tolist() == [4, 5, 6, 7]
     assert set(dots.get_ydata().tolist()) == {0.0}
-    assert dots.get_color() == palette.MARK
+    assert dots.get_color() == THEME.mark
     on_axis = dots.get_transform().transform([[4.0, 0.0]])[0]
     bottom = ax.transAxes.transform([[0.0, 0.0]])[0]
     assert on_axis[1] == pytest.approx(bottom[1])
@@ -131,9 +132,9 @@ def test_final_postures_have_the_colours_of_the_thesis(selection, projection):
         return any(each.shape == line.shape and np.allclose(each, line) for each in found)
 
     for ax in (whole, closer):
-        assert drawn(ax, selection.q[-1], palette.CONTROLLER_COLORS["selection"])
-        assert drawn(ax, projection.q[-1], palette.CONTROLLER_COLORS["projection"])
-        assert drawn(ax, selection.q[0], palette.START) is (ax is whole)
+        assert drawn(ax, selection.q[-1], THEME.controllers["selection"])
+        assert drawn(ax, projection.q[-1], THEME.controllers["projection"])
+        assert drawn(ax, selection.q[0], THEME.start) is (ax is whole)
     labels = [text.get_text() for text in whole.get_legend().get_texts()]
     assert {"initial posture", "Selection, final posture", "Projection, final posture"} <= set(labels)
     assert draw(figure).shape[1] == 1200
@@ -209,7 +210,7 @@ def test_a_switching_run_is_compared_and_its_steps_by_projection_are_marked(flat
     named = {f"{name}: posture error" for name in ("Switching", "Selection alone", "Projection alone")}
     assert named < labels
     assert shows(error, flat_projection.posture_error)
-    red = [line for ax in figure.axes for line in ax.get_lines() if line.get_color() == palette.MARK]
+    red = [line for ax in figure.axes for line in ax.get_lines() if line.get_color() == THEME.mark]
     assert [line.get_xdata().tolist() for line in red] == [list(range(5, 13))]
     draw(figure)
 
@@ -229,7 +230,7 @@ def test_each_run_has_a_colour_of_its_own_throughout_a_figure(flat_selection, fl
     found = heads(figure)
     errors = {head[4:].partition(":")[0]: ax for head, ax in found.items() if "posture error" in head}
     used = {head[4:].partition(":")[0]: ax for head, ax in found.items() if "points used" in head}
-    others = {palette.CONTROLLER_COLORS[name] for name in ("selection", "projection")}
+    others = {THEME.controllers[name] for name in ("selection", "projection")}
     own = {name: drawn_in(ax) - others for name, ax in errors.items()}
     assert [len(colors) for colors in own.values()] == [1] * len(names)
     assert len(set.union(*own.values())) == len(names)

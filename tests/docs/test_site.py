@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from docs.links import dead_links
 
-from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 
 pytestmark = pytest.mark.site
 
@@ -41,9 +41,9 @@ def test_the_site_builds_and_every_link_in_it_leads_somewhere(tmp_path: Path) ->
 
 
 def test_the_colours_are_those_of_the_pictures() -> None:
-    known = {value.lower() for value in vars(palette).values() if isinstance(value, str)}
-    known |= {color.lower() for color in palette.MODULES + palette.SPARE}
-    known |= {color.lower() for color in palette.CONTROLLER_COLORS.values()}
+    known = {value.lower() for value in THEME if isinstance(value, str)}
+    known |= {color.lower() for color in THEME.modules + THEME.spare}
+    known |= {color.lower() for color in THEME.controllers.values()}
     used = re.findall(r"#[0-9a-f]{6}", (DOCS / "style.css").read_text())
     assert len(used) > 5
     assert set(used) <= known

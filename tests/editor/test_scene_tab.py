@@ -48,7 +48,7 @@ from pinposture.editor.ui.scene import (
     SceneTab,
     clearance_text,
 )
-from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 
 BALL = pp.Sphere((0.3, 0.2, 0.1), 0.05)
 BOX = pp.Box((0.2, -0.3, 0.1), (0.1, 0.2, 0.3), (0.0, 0.0, np.pi / 2))
@@ -103,8 +103,8 @@ def test_every_obstacle_is_drawn_where_it_is(arm, live, server, desk):
     floor = drawing._drawn["floor"].handle
     assert floor.position[2] == pytest.approx(-0.2)
     assert floor.vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # all of the plate is below its surface
-    assert tuple(handle.color) == color(palette.OBSTACLE)
-    assert handle.opacity == palette.SEE_THROUGH
+    assert tuple(handle.color) == color(THEME.obstacle)
+    assert handle.opacity == THEME.see_through
 
 
 @pytest.mark.parametrize("name", NEW)
@@ -153,7 +153,7 @@ def test_only_what_is_selected_has_axes_and_handles(arm, live, server, desk):
         assert drawing._axes.visible
         assert [ball.visible for ball in drawing._balls] == [k < count for k in range(3)]
         assert drawing._axes.disable_rotations == (name == "ball")
-        assert tuple(drawing._drawn[name].handle.color) != color(palette.OBSTACLE)
+        assert tuple(drawing._drawn[name].handle.color) != color(THEME.obstacle)
     session.handle = 1  # a hand at the curve
     drawing.show(session, live)
     assert not drawing._axes.visible
@@ -318,9 +318,9 @@ def test_margin_self_collision_and_thickness(arm, live, server, desk, monkeypatc
 @pytest.mark.parametrize(
     "distance, shade, words",
     [
-        (0.02, palette.REGULAR, "20 mm from link to ball"),
-        (0.004, palette.ACTIVE, "less than the margin of 5 mm"),
-        (-0.003, palette.MARK, "3 mm inside ball"),
+        (0.02, THEME.regular, "20 mm from link to ball"),
+        (0.004, THEME.active, "less than the margin of 5 mm"),
+        (-0.003, THEME.mark, "3 mm inside ball"),
     ],
 )
 def test_the_line_is_coloured_by_how_near_it_is(arm, live, server, desk, distance, shade, words):

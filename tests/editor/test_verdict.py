@@ -14,7 +14,7 @@ import pinposture as pp
 from pinposture.editor.solver import judge
 from pinposture.task import Keyframe
 from pinposture.viz import palette
-from pinposture.viz.palette import REGULAR, SINGULAR
+from pinposture.viz.palette import THEME
 
 MODULE = L / 6  # two links of 25 mm each
 
@@ -159,7 +159,9 @@ def test_bodies_have_the_colours_of_their_torques_if_these_are_known() -> None:
         if not known:
             np.testing.assert_array_equal(found, shades)
             continue
-        red, green = (np.round(255.0 * np.array(palette.rgb(each))) for each in (SINGULAR, REGULAR))
+        red, green = (
+            np.round(255.0 * np.array(palette.rgb(each))) for each in (THEME.singular, THEME.regular)
+        )
         np.testing.assert_array_equal(np.all(found == red, axis=1), torques > 0.9 * torques.max())
         np.testing.assert_array_equal(np.all(found == green, axis=1), torques <= 0.45 * torques.max())
 

@@ -15,8 +15,8 @@ from viz.test_view_html import Page
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.placement.target import Moved
-from pinposture.viz import palette
 from pinposture.viz.drawing import REST_AFTER, REST_BEFORE
+from pinposture.viz.palette import THEME
 
 
 def page_of(motion, tmp_path, **options) -> Page:
@@ -109,7 +109,7 @@ def test_ellipsoids_and_obstacles_are_shown_as_of_runs(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("count", "opacity"), [(3, palette.SEE_THROUGH), (60, palette.SHEER)])
+@pytest.mark.parametrize(("count", "opacity"), [(3, THEME.see_through), (60, THEME.sheer)])
 def test_the_walls_of_a_pipe_let_through_more_than_a_single_obstacle(tmp_path, count, opacity):
     balls = {f"ball {k}": pp.Sphere((0.1, 0.3, 0.002 * k), 0.02) for k in range(count)}
     page = page_of(some_motion(4, scene=pp.Scene(balls)), tmp_path)

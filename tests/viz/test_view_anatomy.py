@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 
 
 def spatial() -> pp.Arm:
@@ -88,7 +89,7 @@ def test_modules_join_end_to_end_from_base_to_tip(rng):
     arm = spatial()
     q = arm.random(rng)
     drawn = pp.plot_arm(arm, q).axes[0].get_lines()
-    shaded = [line for line in drawn if line.get_color() in palette.MODULES]
+    shaded = [line for line in drawn if line.get_color() in THEME.modules]
     modules = [np.transpose(line.get_data_3d()) for line in shaded[: arm.n_modules]]
     np.testing.assert_array_equal(modules[0][0], arm.chain.base)
     for before, after in pairwise(modules):
@@ -109,8 +110,8 @@ def test_control_points_base_and_tip_are_marked_where_they_are(rng):
 
 def test_modules_take_turns_in_two_shades():
     figure = pp.plot_arm(spatial())
-    shades = [line.get_color() for line in figure.axes[0].get_lines() if line.get_color() in palette.MODULES]
-    assert shades[:6] == list(palette.MODULES) * 3
+    shades = [line.get_color() for line in figure.axes[0].get_lines() if line.get_color() in THEME.modules]
+    assert shades[:6] == list(THEME.modules) * 3
 
 
 @pytest.mark.parametrize("make", [spatial, planar])
@@ -178,7 +179,7 @@ def test_in_a_plane_an_axis_that_lies_in_it_is_a_bar_and_no_ring():
     assert arm.dimension == 2  # the last joint turns the tip on the spot
     figure = pp.plot_arm(arm)
     np.testing.assert_allclose(flat_points(figure, "axis of a joint that turns"), [[0.1, 0.0]], atol=1e-12)
-    lines = [line for line in figure.axes[0].get_lines() if line.get_color() == palette.TURN]
+    lines = [line for line in figure.axes[0].get_lines() if line.get_color() == THEME.turn]
     (bar,) = [np.transpose(line.get_data())[:2] for line in lines if len(line.get_xdata()) == 3]
     np.testing.assert_allclose(bar[:, 1], 0.0, atol=1e-12)
     assert bar[1, 0] - bar[0, 0] > 0.0
@@ -200,7 +201,7 @@ def test_an_arm_of_one_module_and_one_that_stands_are_drawn(recwarn):
 )
 def test_the_arm_fills_the_width_and_stays_clear_of_title_and_legend(make):
     picture = pixels(pp.plot_arm(make()))[:, :, :3]
-    shades = [np.round(255 * np.array(palette.rgb(shade))) for shade in palette.MODULES]
+    shades = [np.round(255 * np.array(palette.rgb(shade))) for shade in THEME.modules]
     body = np.any([np.abs(picture - shade).max(axis=2) < 3 for shade in shades], axis=0)
     legend = 35
     rows, columns = np.nonzero(body[:-legend])

@@ -19,6 +19,7 @@ from pinposture.viz import palette
 from pinposture.viz.body import body_poses
 from pinposture.viz.drawing import arm_tracks, playback
 from pinposture.viz.meshcat import play_animation
+from pinposture.viz.palette import THEME
 
 
 def four_modules() -> Arm:
@@ -102,8 +103,8 @@ def test_control_points_are_coloured_and_large_while_they_are_active():
         assert not color.smooth
         assert not size.smooth
         seen = value_while(color, shown.times)
-        np.testing.assert_array_equal(np.all(seen == palette.rgb(palette.ACTIVE), axis=1), active[:, k])
-        np.testing.assert_array_equal(np.all(seen == palette.rgb(palette.IDLE), axis=1), ~active[:, k])
+        np.testing.assert_array_equal(np.all(seen == palette.rgb(THEME.active), axis=1), active[:, k])
+        np.testing.assert_array_equal(np.all(seen == palette.rgb(THEME.idle), axis=1), ~active[:, k])
         np.testing.assert_array_equal(value_while(size, shown.times)[:, 0] == 1.0, active[:, k])
 
 
@@ -119,7 +120,7 @@ def test_playback_with_skipped_steps_shows_the_active_set_of_the_configuration_s
     shown = playback(run, 20.0, 12)
     listed = arm_tracks(four_modules(), shown)
     color = values_at(listed, "/pinposture/arm/body_004/point/<object>", "material.color")
-    on = np.all(value_while(color, shown.times) == palette.rgb(palette.ACTIVE), axis=1)
+    on = np.all(value_while(color, shown.times) == palette.rgb(THEME.active), axis=1)
     np.testing.assert_array_equal(on, run.active[np.minimum(shown.rows, 49), 1])
 
 

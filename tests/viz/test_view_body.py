@@ -18,6 +18,7 @@ from pinposture.errors import InvalidValue
 from pinposture.viz import palette, visual_model
 from pinposture.viz.body import backbone, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces
+from pinposture.viz.palette import THEME
 
 TILTED = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.8, 1.9), np.array([0.2, -0.1, 0.4]))
 SLIDING = ModuleTemplate(
@@ -176,4 +177,4 @@ def test_pinocchios_visualizer_shows_the_drawn_bodies_where_they_are(name):
         packed = drawn[each]["geometries"][0]["data"]["attributes"]["position"]["array"].data
         np.testing.assert_allclose(np.frombuffer(packed, "<f4").reshape(-1, 3), mesh.vertices, atol=1e-6)
     color = drawn["base"]["materials"][0]["color"].to_bytes(3, "big")
-    np.testing.assert_allclose(list(color), np.multiply(palette.rgb(palette.BASE), 255.0), atol=1.01)
+    np.testing.assert_allclose(list(color), np.multiply(palette.rgb(THEME.base), 255.0), atol=1.01)

@@ -12,7 +12,8 @@ from arms import template_arm
 from matplotlib.figure import Figure
 
 import pinposture as pp
-from pinposture.viz import palette, plot_clearance
+from pinposture.viz import plot_clearance
+from pinposture.viz.palette import THEME
 from pinposture.viz.panels import mark_rising_steps, mark_violations
 
 
@@ -115,7 +116,7 @@ def test_steps_in_which_something_gave_way_are_marked_and_quoted():
     assert len(words) < 70
     (marks,) = (line for line in ax.get_lines() if line.get_marker() == "|")
     np.testing.assert_array_equal(marks.get_xdata(), [2, 5])
-    assert marks.get_color() == palette.MARK
+    assert marks.get_color() == THEME.mark
     ax.figure.savefig(io.BytesIO(), dpi=20)
 
 

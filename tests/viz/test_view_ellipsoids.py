@@ -12,6 +12,7 @@ from viz.ellipsoid_shapes import levels, planar, spatial
 
 import pinposture as pp
 from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 from pinposture.viz.postures import INDEX_LABELS, drawn_length, silhouette
 
 
@@ -22,7 +23,7 @@ def rng():
 
 def outlines(figure, arm: pp.Arm) -> list[np.ndarray]:
     """Lines (n, 3) in the world that are neither of the arm nor of its joints: those of ellipsoids."""
-    own = {*palette.MODULES, palette.TURN, palette.INK, palette.BASE, palette.SLIDE}
+    own = {*THEME.modules, THEME.turn, THEME.ink, THEME.base, THEME.slide}
     found = []
     for line in figure.axes[0].get_lines():
         if line.get_color() in own or line.get_linestyle() == "None" or not len(line.get_xdata()):
@@ -56,9 +57,9 @@ def test_a_point_that_nothing_moves_still_has_a_scale():
 
 
 def test_colours_go_from_that_of_singular_postures_to_that_of_good_ones():
-    assert palette.index_color(0.0) == palette.SINGULAR
-    assert palette.index_color(0.1) == palette.WORSE
-    assert palette.index_color(0.4) == palette.index_color(1.0) == palette.REGULAR
+    assert palette.index_color(0.0) == THEME.singular
+    assert palette.index_color(0.1) == THEME.worse
+    assert palette.index_color(0.4) == palette.index_color(1.0) == THEME.regular
     shades = [palette.rgb(palette.index_color(index)) for index in np.linspace(0.0, 0.4, 400)]
     # Red falls from yellow on, green grows before: no colour comes twice.
     kept = list(dict.fromkeys(shades))
@@ -119,8 +120,8 @@ def test_in_a_singular_posture_a_disc_is_left_in_space_and_a_line_in_the_plane()
     np.testing.assert_allclose(stroke[:, 0], 0.0, atol=1e-12)
     assert np.ptp(stroke[:, 1]) > 0.2 * flat.length
     colors = {line.get_color() for line in figure.axes[0].get_lines()}
-    assert palette.SINGULAR in colors
-    assert palette.REGULAR not in colors
+    assert THEME.singular in colors
+    assert THEME.regular not in colors
 
 
 def test_the_legend_says_the_scale_and_what_colours_mean_only_if_there_are_ellipsoids():
@@ -140,7 +141,7 @@ def test_the_legend_says_the_scale_and_what_colours_mean_only_if_there_are_ellip
 def test_the_arm_lies_on_top_of_its_ellipsoids(rng):
     figure = pp.plot_arm(spatial(), spatial().random(rng), ellipsoids=range(6))
     (ax,) = figure.axes
-    arm = [line.get_zorder() for line in ax.get_lines() if line.get_color() in palette.MODULES]
+    arm = [line.get_zorder() for line in ax.get_lines() if line.get_color() in THEME.modules]
     figure.canvas.draw()
     assert len(ax.collections) == 6
     assert max(shade.get_zorder() for shade in ax.collections) < min(arm)

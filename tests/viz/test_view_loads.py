@@ -9,19 +9,19 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.errors import WeightUnknown
-from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 
 MEANING = {
-    palette.REGULAR: (0.0, 0.5),
-    palette.WORSE: (0.5, 0.8),
-    palette.ACTIVE: (0.8, 1.0),
-    palette.SINGULAR: (1.0, np.inf),
+    THEME.regular: (0.0, 0.5),
+    THEME.worse: (0.5, 0.8),
+    THEME.active: (0.8, 1.0),
+    THEME.singular: (1.0, np.inf),
 }
 
 
 def drawn(figure) -> dict[str, np.ndarray]:
     """The marked points by their colour, world frame."""
-    marked = [line for line in figure.axes[0].get_lines() if line.get_color() in {*MEANING, palette.REST}]
+    marked = [line for line in figure.axes[0].get_lines() if line.get_color() in {*MEANING, THEME.rest}]
     lines = {line.get_color(): line for line in marked if line.get_label()[:2] in ("to", "up", "be", "li")}
     return {color: np.transpose(line.get_data_3d()) for color, line in lines.items()}
 
@@ -41,7 +41,7 @@ def test_each_joint_has_the_colour_of_its_share(bend: float) -> None:
         for point in points:
             joint = int(np.linalg.norm(origins - point, axis=1).argmin())
             assert low - 1e-12 <= abs(torques[joint]) / 0.5 <= high + 1e-9
-    assert (palette.SINGULAR in found) == (bend == 0.0)
+    assert (THEME.singular in found) == (bend == 0.0)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert ("beyond its limit" in labels) == (bend == 0.0)
 
@@ -49,7 +49,7 @@ def test_each_joint_has_the_colour_of_its_share(bend: float) -> None:
 def test_joints_without_limits_are_grey_and_arms_without_any_are_refused() -> None:
     arm = template_arm("RyRz", 4)
     found = drawn(pp.plot_arm(arm.with_effort({"m01_j1_y": 3.0}), torques=True))
-    assert len(found[palette.REST]) == arm.nv - 1
+    assert len(found[THEME.rest]) == arm.nv - 1
     with pytest.raises(WeightUnknown, match="torque limits"):
         pp.plot_arm(arm, torques=True)
     assert drawn(pp.plot_arm(arm.with_effort(3.0))) == {}

@@ -34,6 +34,7 @@ from pinposture.viz.body import (
     surface,
 )
 from pinposture.viz.drawing import shown_obstacles
+from pinposture.viz.palette import THEME
 
 STAGE = box_corners(np.array([0.0, -0.4, -0.3]), np.array([0.8, 0.4, 0.5]))
 FLOOR = pp.HalfSpace((0.0, 0.0, -0.45), (0, 0, 1))
@@ -84,7 +85,7 @@ def check_all(found: list[tuple[np.ndarray, dict]]) -> None:
     for (_, low, high, _), (vertices, material) in zip(SOLIDS.values(), found, strict=True):
         np.testing.assert_allclose(vertices.min(axis=0), low, atol=1e-6)
         np.testing.assert_allclose(vertices.max(axis=0), high, atol=1e-6)
-        assert material["color"] == int(palette.OBSTACLE[1:], 16)
+        assert material["color"] == int(THEME.obstacle[1:], 16)
         assert material["transparent"] is True
         assert 0.2 < material["opacity"] < 0.8
 
@@ -303,7 +304,7 @@ def test_lines_behind_an_obstacle_are_veiled_and_others_are_not(arm):
         ax = Figure().add_subplot(projection="3d")
         run = still(arm, pp.Scene({"ball": pp.Sphere(place, 0.05)}))
         plot_postures(run, ax)
-        color = palette.mixed(palette.START, palette.OBSTACLE, 0.6)
+        color = palette.mixed(THEME.start, THEME.obstacle, 0.6)
         return any(line.get_color() == color for line in ax.get_lines())
 
     ax = Figure().add_subplot(projection="3d")

@@ -22,6 +22,7 @@ from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 from pinposture.viz import palette, plot_active_points, plot_point_errors, plot_posture_error, plot_postures
 from pinposture.viz.body import backbone
+from pinposture.viz.palette import THEME
 
 
 def six_modules() -> pp.Arm:
@@ -123,7 +124,7 @@ def test_the_least_value_is_written_inside_the_axes(least, depth):
     ax.plot(np.arange(5.0), values)
     palette.scale_values(ax)
     ax.set_xlim(0.0, 4.0)
-    palette.mark_value(ax, float(least), float(values[least]), palette.INK, "least")
+    palette.mark_value(ax, float(least), float(values[least]), THEME.ink, "least")
     box = ax.texts[0].get_window_extent()
     inside = ax.get_window_extent()
     assert inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
@@ -364,7 +365,7 @@ def test_runs_that_lie_on_each_other_are_all_seen_in_a_comparison():
     high = len(drawn) - int(box.y0)
     inside = drawn[low:high, int(box.x0) : int(box.x1)]
     for name in names:
-        color = 255.0 * np.array(palette.rgb(palette.CONTROLLER_COLORS[name]))
+        color = 255.0 * np.array(palette.rgb(THEME.controllers[name]))
         assert (np.abs(inside - color).max(axis=2) < 40.0).sum() > 100
     labels = [text.get_window_extent() for text in panel.texts]
     assert len(labels) == 4
@@ -375,7 +376,7 @@ def test_a_value_is_moved_away_from_the_dot_of_another():
     ax = one_panel()
     ax.set_xlim(0.0, 10.0)
     for place in (1.0, 2.0, 3.0):  # each in the text of the one before
-        palette.mark_value(ax, place, 0.5, palette.INK, "end")
+        palette.mark_value(ax, place, 0.5, THEME.ink, "end")
     palette.add_title(ax.figure, ["values"])
     texts = [text.get_window_extent() for text in ax.texts]
     dots = [line.get_window_extent() for line in ax.lines]
@@ -395,12 +396,10 @@ def test_a_comparison_draws_a_common_start_once_and_every_end_in_its_colour():
     for (label, run), line in zip(runs.items(), counts.get_lines(), strict=True):
         np.testing.assert_array_equal(lines(errors)[label].get_ydata(), run.mean_error)
         np.testing.assert_array_equal(line.get_ydata(), run.active.sum(axis=1))
-    assert lines(errors)["first"].get_color() == palette.CONTROLLER_COLORS["selection"]
-    assert lines(errors)["second"].get_color() == palette.CONTROLLER_COLORS["projection"]
+    assert lines(errors)["first"].get_color() == THEME.controllers["selection"]
+    assert lines(errors)["second"].get_color() == THEME.controllers["projection"]
     starts = [
-        line
-        for line in postures.get_lines()
-        if line.get_color() == palette.START and len(line.get_xdata()) > 1
+        line for line in postures.get_lines() if line.get_color() == THEME.start and len(line.get_xdata()) > 1
     ]
     assert len(starts) == 2  # its bodies and its control points
     assert errors.get_xlim() == counts.get_xlim() == (0.0, max(run.steps for run in runs.values()))
@@ -411,9 +410,7 @@ def test_different_starts_are_all_drawn():
     other = run_to(helix(), start=np.full(six_modules().nv, 0.1))
     postures = pp.plot_comparison({"a": some_run(), "b": other}).axes[0]
     starts = [
-        line
-        for line in postures.get_lines()
-        if line.get_color() == palette.START and len(line.get_xdata()) > 1
+        line for line in postures.get_lines() if line.get_color() == THEME.start and len(line.get_xdata()) > 1
     ]
     assert len(starts) == 4
 
@@ -466,8 +463,8 @@ def test_runs_that_have_nothing_in_common_are_not_compared():
 def test_runs_of_one_controller_get_different_colours():
     assert len(set(palette.distinct_colors(["Selection()"] * 8))) == 8
     assert palette.distinct_colors(["Projection(x=1)", "selection"]) == [
-        palette.CONTROLLER_COLORS["projection"],
-        palette.CONTROLLER_COLORS["selection"],
+        THEME.controllers["projection"],
+        THEME.controllers["selection"],
     ]
 
 
@@ -481,11 +478,11 @@ def test_what_must_be_told_apart_differs_in_more_than_hue():
         dark, light = sorted([luminance(a), luminance(b)])
         return (light + 0.05) / (dark + 0.05)
 
-    assert contrast(palette.ACTIVE, palette.IDLE) > 1.8
-    assert contrast(*palette.MODULES) > 2.0
-    for color in (palette.START, palette.TARGET, palette.INK, *palette.CONTROLLER_COLORS.values()):
+    assert contrast(THEME.active, THEME.idle) > 1.8
+    assert contrast(*THEME.modules) > 2.0
+    for color in (THEME.start, THEME.target, THEME.ink, *THEME.controllers.values()):
         assert contrast(color, "#FFFFFF") > 2.0
-    along = [luminance(color) for color in palette.ALONG]
+    along = [luminance(color) for color in THEME.along]
     assert np.all(np.diff(along) > 0.0)
 
 
@@ -503,7 +500,7 @@ def test_steps_that_were_left_to_projection_are_marked_on_the_axis():
     target = pp.resolve_targets(arm, pp.Curve.helix(radius=0.06, pitch=0.15, turns=2), placement="align")
     run = pp.track(arm, target, arm.straight(), "switching")
     panel = next(ax for ax in pp.plot(run).axes if "Projection" in ax.get_xlabel())
-    (marks,) = (line for line in panel.get_lines() if line.get_color() == palette.MARK)
+    (marks,) = (line for line in panel.get_lines() if line.get_color() == THEME.mark)
     np.testing.assert_array_equal(marks.get_xdata(), np.flatnonzero(run.info["method"] == "projection") + 1)
     alone = pp.plot(pp.track(arm, target, arm.straight(), "projection", max_steps=3))
     assert not any("red" in ax.get_xlabel() for ax in alone.axes)

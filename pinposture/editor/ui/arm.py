@@ -41,6 +41,7 @@ from pinposture.viz import palette
 from pinposture.viz.arm_figure import LOADS, load_levels
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius
+from pinposture.viz.palette import THEME
 from pinposture.viz.postures import MIN_ELLIPSOID_RADIUS, drawn_length, principal_frame
 
 Array = NDArray[np.float64]
@@ -78,7 +79,7 @@ class ArmDrawing:
         self.arm = arm
         surfaces = arm_surfaces(arm)
         self.foot = surfaces.base.vertices
-        shades = [palette.MODULES[body.module % len(palette.MODULES)] for body in bodies(arm)]
+        shades = [THEME.modules[body.module % len(THEME.modules)] for body in bodies(arm)]
         self.shades: Colors = np.array([color(tint or shade) for shade in shades], dtype=np.uint8)
         self._colors = self.shades.copy()
         self.q = arm.straight()
@@ -87,7 +88,7 @@ class ArmDrawing:
             f"{name}/base",
             surfaces.base.vertices,
             surfaces.base.faces,
-            color=color(tint or palette.BASE),
+            color=color(tint or THEME.base),
             opacity=opacity,
         )
         # Bodies that look alike: what draws them, and their joints in the chain, 0-based.
@@ -144,7 +145,7 @@ def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
     """Return the colours of the bodies, (n, 3), by one of `COLORINGS`; their own shades are the default."""
     if coloring == COLORINGS[0] and np.any(live.at_limit):
         colors: Colors = shades.copy()
-        colors[live.at_limit[live.arm.chain.input_numbers]] = color(palette.MARK)
+        colors[live.at_limit[live.arm.chain.input_numbers]] = color(THEME.mark)
         return colors
     if coloring == COLORINGS[1]:
         indices = stretch_indices(live.state)
@@ -204,7 +205,7 @@ class Ellipsoids:
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
             batched_positions=np.zeros((count, 3)),
             batched_scales=np.full((count, 3), 1e-6),
-            batched_colors=np.tile(color(palette.REGULAR), (count, 1)),
+            batched_colors=np.tile(color(THEME.regular), (count, 1)),
             opacity=ELLIPSOID_OPACITY,
             cast_shadow=False,
             receive_shadow=False,
@@ -240,7 +241,7 @@ class MeasuredArm:
         if self._states is None:
             return
         self._about = server.gui.add_html("")
-        self._drawing = ArmDrawing(server, arm, "/measured", MEASURED_OPACITY, palette.FINAL)
+        self._drawing = ArmDrawing(server, arm, "/measured", MEASURED_OPACITY, THEME.final)
         self._drawing.set_visible(False)
 
     def show(self, _: Session, live: Live) -> None:
@@ -263,7 +264,7 @@ class MeasuredArm:
         if latest.complaint:
             lines.append(latest.complaint)
         text = "<br>".join(map(escape, lines))
-        put(self._about, content=framed_html("measured", palette.FINAL, "Measured", text))
+        put(self._about, content=framed_html("measured", THEME.final, "Measured", text))
 
 
 class DeclaredNumber(NamedTuple):

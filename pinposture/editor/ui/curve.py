@@ -40,6 +40,7 @@ from pinposture.viz import palette
 from pinposture.viz.body import ball as ball_mesh
 from pinposture.viz.body import tube
 from pinposture.viz.drawing import link_radius
+from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
@@ -52,17 +53,17 @@ AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
 SMALL_ERROR = 1e-3  # green below it; relative to a module length
 LARGE_ERROR = 0.3  # red above it; relative to a module length
 LINE_ERROR = 1e-2  # from which on a line leads to the target, relative to a module length
-BALL_COLOR = palette.mixed(palette.SPARE[0], palette.START, 0.6)  # of control points of the curve
-SELECTED_BALL_COLOR = palette.mixed(palette.START, palette.TARGET, 0.45)  # of those that are selected
+BALL_COLOR = palette.mixed(THEME.spare[0], THEME.start, 0.6)  # of control points of the curve
+SELECTED_BALL_COLOR = palette.mixed(THEME.start, THEME.target, 0.45)  # of those that are selected
 EARLIEST = 0.25  # place of the first curve on the scale of times: earlier ones are too pale on white
 LEGEND = (
-    (palette.MODULES[0], "the arm"),
-    (palette.REST, "the curve beyond the arm"),
-    (palette.TARGET, "the curve, where the arm lies on it"),
-    (palette.MARK, "a curve that the arm cannot take"),
+    (THEME.modules[0], "the arm"),
+    (THEME.rest, "the curve beyond the arm"),
+    (THEME.target, "the curve, where the arm lies on it"),
+    (THEME.mark, "a curve that the arm cannot take"),
     (BALL_COLOR, "control points of the curve"),
-    (palette.REGULAR, "points of the arm on their targets; red: far off"),
-    (palette.ACTIVE, "rings: active points of the arm"),
+    (THEME.regular, "points of the arm on their targets; red: far off"),
+    (THEME.active, "rings: active points of the arm"),
     (palette.in_time(0.7), "curves of other keyframes, by their times"),
 )
 """Colours in the picture, and what they say."""
@@ -110,11 +111,11 @@ def _curve_colors(curve: Curve, along: Array, live: Live) -> Colors:
     target = live.verdict.target
     shades = np.empty((CURVE_PIECES, 2, 3), dtype=np.uint8)
     if target is None:
-        shades[:] = color(palette.MARK)
+        shades[:] = color(THEME.mark)
         return shades
     covered = curve.length if target.parameters is None else float(target.parameters[target.has_target].max())
     inside = 0.5 * (along[1:] + along[:-1]) <= covered
-    shades[:] = np.where(inside[:, None], color(palette.TARGET), color(palette.REST))[:, None]
+    shades[:] = np.where(inside[:, None], color(THEME.target), color(THEME.rest))[:, None]
     return shades
 
 
@@ -208,7 +209,7 @@ class Handles:
         self._drags: dict[int, Drag] = {}
         self._colors: list[str] = []
         self._frame = server.scene.add_line_segments(
-            "/handles/frame", np.zeros((1, 2, 3)), color(palette.REST), thickness=0.25 * link_radius(arm)
+            "/handles/frame", np.zeros((1, 2, 3)), color(THEME.rest), thickness=0.25 * link_radius(arm)
         )
         self._axes = add_axes(server, "/handles/axes", AXES_SIZE * arm.length)
         self._index = -1
@@ -225,7 +226,7 @@ class Handles:
             if index == 0 or not self._drags[index].held:
                 put_at(ball, point)
             own = SELECTED_BALL_COLOR if index in session.handles else BALL_COLOR
-            own = palette.BASE if index == 0 else own
+            own = THEME.base if index == 0 else own
             if self._colors[index] != own:
                 self._colors[index] = own
                 ball.color = color(own)
@@ -307,7 +308,7 @@ class Points:
         poses = np.tile([1.0, 0.0, 0.0, 0.0], (m, 1)), np.zeros((m, 3))
         self._dots = server.scene.add_batched_meshes_simple("/points/dots", *dot, *poses, lod="off")
         self._rings = server.scene.add_batched_meshes_simple(
-            "/points/rings", *ring, *poses, batched_colors=color(palette.ACTIVE), lod="off"
+            "/points/rings", *ring, *poses, batched_colors=color(THEME.active), lod="off"
         )
         self._error_lines = add_lines(server, "/points/errors", m, 0.5 * radius)
         self._colors: Colors = np.zeros((m, 3), dtype=np.uint8)
@@ -341,7 +342,7 @@ def error_colors(errors: Array, unit: float) -> Colors:
     sizes = np.clip(errors / unit, SMALL_ERROR, LARGE_ERROR)
     shares = 1.0 - np.log(sizes / SMALL_ERROR) / np.log(LARGE_ERROR / SMALL_ERROR)
     # Squared, since `index_color` takes the square root of the index.
-    colors = [color(palette.index_color(palette.REGULAR_INDEX * s * s)) for s in shares]
+    colors = [color(palette.index_color(THEME.regular_index * s * s)) for s in shares]
     return np.array(colors, dtype=np.uint8)
 
 

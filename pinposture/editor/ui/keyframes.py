@@ -24,12 +24,12 @@ from pinposture.editor.ui.phases import PhaseControls, PhasePlanner
 from pinposture.errors import InvalidValue
 from pinposture.placement.resolve import METHODS
 from pinposture.task import Keyframe, Task
-from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
 LISTED_ROWS = 8
-MARK_COLORS = {"collides": palette.ACTIVE, "refused": palette.MARK}
+MARK_COLORS = {"collides": THEME.active, "refused": THEME.mark}
 SECOND_DIGITS = 3  # of times and speeds, behind the point
 
 
@@ -136,7 +136,7 @@ class KeyframesTab:
             index = self._first + number
             if index < count:
                 mark = marks[index] if len(marks) == count else ""
-                shade = palette.START if index == selected else MARK_COLORS.get(mark, palette.FAINT)
+                shade = THEME.start if index == selected else MARK_COLORS.get(mark, THEME.faint)
                 put(row, label=row_label(keyframes, times, index, mark), color=color(shade))
             put(row, visible=index < count)
         above = self._first

@@ -63,12 +63,13 @@ from pinposture.task import Task
 from pinposture.units import BELOW_ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
+from pinposture.viz.palette import THEME
 
 STATUS_COLORS = {
-    "good": palette.REGULAR,
-    "info": palette.REGULAR,
-    "warning": palette.ACTIVE,
-    "error": palette.MARK,
+    "good": THEME.regular,
+    "info": THEME.regular,
+    "warning": THEME.active,
+    "error": THEME.mark,
 }
 
 # Distances from which on the status is a warning, in arm lengths: of the whole arm from the curve, of the tip
@@ -100,7 +101,7 @@ class Status:
         notice = session.message
         message = ""
         if notice is not None:
-            ink = palette.mixed(STATUS_COLORS[notice.kind], palette.INK, 0.45)  # not pale on white
+            ink = palette.mixed(STATUS_COLORS[notice.kind], THEME.ink, 0.45)  # not pale on white
             style = f"color:{ink};margin-top:4px"
             about = f'id="notice" data-kind="{notice.kind}" style="{style}"'
             message = f"<div {about}>{escape(notice.text)}</div>"
@@ -390,8 +391,8 @@ def set_stage(server: viser.ViserServer, arm: Arm, view: Viewpoint) -> None:
         height=24.0 * cell,
         cell_size=cell,
         section_size=5.0 * cell,
-        cell_color=color(palette.FAINT),
-        section_color=color(palette.mixed(palette.FAINT, palette.REST, 0.5)),
+        cell_color=color(THEME.faint),
+        section_color=color(palette.mixed(THEME.faint, THEME.rest, 0.5)),
         position=(*np.round(view.look_at[:2] / cell) * cell, floor),
         fade_distance=40.0 * cell,
         shadow_opacity=0.12,
@@ -428,7 +429,7 @@ class Page:
         self._states = states
         self._server, self.url = serve(host, port)
         self._server.gui.configure_theme(
-            show_logo=False, show_share_button=False, brand_color=color(palette.START), dark_mode=False
+            show_logo=False, show_share_button=False, brand_color=color(THEME.start), dark_mode=False
         )
         offer_tour(self._server)
         self._server.on_client_connect(self._watch_aspect)

@@ -34,16 +34,16 @@ from pinposture.editor.ui.parts import (
 from pinposture.errors import TaskError
 from pinposture.task import Leader, Phase, Task, TipGoal
 from pinposture.task.phases import phase_title
-from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
+from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
 DEGREE = np.pi / 180.0
 NUMBER_STEP = 0.1  # of the arrows beside a number
 PATH_PIECES = 120  # straight pieces of the path of a leader
-PATH_COLOR = palette.SPARE[2]
-GOAL_COLOR = palette.SPARE[1]
+PATH_COLOR = THEME.spare[2]
+GOAL_COLOR = THEME.spare[1]
 GOAL_RADIUS = 1.8  # of a goal of the tip, relative to that of the bars of the arm
 
 

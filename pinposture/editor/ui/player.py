@@ -32,6 +32,7 @@ from pinposture.motion.trajectory import WaypointResult
 from pinposture.task import Task
 from pinposture.units import length_text
 from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,8 @@ LEGEND_HEIGHT = 30  # of two lines [pixels]
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
 MAX_SHARE = 1.2  # of limits that is shown
 OUTSIDE = 1e3  # value of lines outside of the picture
-SPEED_COLOR = palette.SPARE[2]
-ACCELERATION_COLOR = palette.SPARE[0]
+SPEED_COLOR = THEME.spare[2]
+ACCELERATION_COLOR = THEME.spare[0]
 NO_TIMES = np.zeros(0)
 
 PANEL_WIDTH = 440  # [pixels]
@@ -190,7 +191,7 @@ class Plots:
         self._length = length
         self._known: tuple[Trajectory, Trace, Array] | None = None
         self._due = 0.0
-        self._color = palette.FINAL
+        self._color = THEME.final
         self._jitter = False
         self._server = server
         self._clients: tuple[int, ...] = ()
@@ -290,22 +291,22 @@ def _lines(color: str) -> tuple[uplot.Series, ...]:
 
     return (
         {"label": "time"},
-        line("largest error", "mm", palette.mixed(color, palette.TARGET, 0.4), 1.2),
+        line("largest error", "mm", palette.mixed(color, THEME.target, 0.4), 1.2),
         line("mean error", "mm", color, 2.0),
         line("acceleration", "share", ACCELERATION_COLOR, 1.0),
         line("speed", "share", SPEED_COLOR, 1.6),
-        {**line("limit", "share", palette.INK, 1.0), "dash": (4, 2)},
-        line("keyframes", "share", palette.REST, 0.8),
-        line("shown", "share", palette.MARK, 1.2),
+        {**line("limit", "share", THEME.ink, 1.0), "dash": (4, 2)},
+        line("keyframes", "share", THEME.rest, 0.8),
+        line("shown", "share", THEME.mark, 1.2),
     )
 
 
 def _axes() -> tuple[uplot.Axis, ...]:
     """Return the axes: time below, errors at the left, shares of limits at the right."""
     font = "10px sans-serif"
-    plain: uplot.Axis = {"font": font, "stroke": palette.INK, "gap": 3, "ticks": {"show": False}}
+    plain: uplot.Axis = {"font": font, "stroke": THEME.ink, "gap": 3, "ticks": {"show": False}}
     titled: uplot.Axis = {**plain, "labelSize": 14, "labelFont": font}
-    grid: uplot.Axis = {"grid": {"stroke": palette.FAINT, "width": 0.6}}
+    grid: uplot.Axis = {"grid": {"stroke": THEME.faint, "width": 0.6}}
     return (
         {**plain, **grid, "size": 18},
         # A logarithmic axis would draw a line at each digit.
@@ -358,16 +359,15 @@ div:has(> #timeline) + div {{display: none}}
 STYLES = {
     "swatch": "display:inline-block;width:9px;height:7px;border-radius:2px;margin-right:3px",
     "strip": "position:relative;height:42px;margin:2px 20px 4px 20px;touch-action:none;user-select:none",
-    "line": f"position:absolute;top:11px;height:5px;width:100%;border-radius:3px;background:{palette.FAINT}",
+    "line": f"position:absolute;top:11px;height:5px;width:100%;border-radius:3px;background:{THEME.faint}",
     "tick": "position:absolute;top:28px;font-size:10px;line-height:12px;transform:translateX(-50%);"
     "white-space:nowrap",
     "hold": "position:absolute;top:8px;height:11px;opacity:0.4",
     "keyframe": "position:absolute;top:3px;width:18px;height:21px;line-height:21px;border-radius:4px;"
     "transform:translateX(-50%);text-align:center;font-size:12px;font-weight:bold;color:white;cursor:grab",
-    "not reached": f"background:white;color:{palette.MARK};outline:2px dashed {palette.MARK};"
-    "outline-offset:-2px",
+    "not reached": f"background:white;color:{THEME.mark};outline:2px dashed {THEME.mark};outline-offset:-2px",
     "playhead": "position:absolute;top:0;height:29px;width:2px;transform:translateX(-50%);"
-    f"background:{palette.MARK}",
+    f"background:{THEME.mark}",
 }
 """Styles of the timeline and of what is in it, and of colours in the legend of the plot."""
 
@@ -403,7 +403,7 @@ class TimeAxis:
         for number, ((index, lap, at), reached) in enumerate(self._passes):
             mark = session.marks[index] if len(session.marks) == len(keyframes) else ""
             selected = index == session.selected
-            shade = f"background:{palette.START if selected else MARK_COLORS.get(mark, palette.QUIET)}"
+            shade = f"background:{THEME.start if selected else MARK_COLORS.get(mark, THEME.quiet)}"
             width = f"width:{100.0 * keyframes[index].hold / self._length:.3f}%"
             drawn.append(self._at("hold", at, "", f"{width};{shade}"))
             words = f"lap {lap + 1}:  " * (task.repeat > 1) + row_label(keyframes, planned, index, mark)
@@ -419,7 +419,7 @@ class TimeAxis:
         moving = ""
         if playback.preview.working:
             width = f"width:{100.0 * playback.preview.progress:.0f}%"
-            moving += self._at("line", 0.0, "", f"{width};background:{palette.REGULAR}", 'id="progress"')
+            moving += self._at("line", 0.0, "", f"{width};background:{THEME.regular}", 'id="progress"')
         if playback.shown:
             moving += self._at("playhead", min(playback.time, self._length), "", "", 'id="playhead"')
         over = f"{STYLES['strip']};height:0;z-index:3;pointer-events:none"

@@ -46,9 +46,10 @@ from pinposture.viz import palette
 from pinposture.viz.body import TriangleMesh as Surface
 from pinposture.viz.body import surface
 from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
+from pinposture.viz.palette import THEME
 
 SCAN_POINT_SIZE = 0.003  # of a scan, relative to the arm
-SCAN_COLOR = palette.mixed(palette.OBSTACLE, "#FFFFFF", 0.35)  # of a scan without colours of its own
+SCAN_COLOR = palette.mixed(THEME.obstacle, "#FFFFFF", 0.35)  # of a scan without colours of its own
 SCAN_OPACITY = 0.6  # of such a surface, which may stand in front of the arm
 LOAD_KINDS = ("scan", "obstacle")
 EXPLANATION = (
@@ -178,9 +179,9 @@ MIN_AXES_SIZE = 0.16  # of the axes that move and turn the selected obstacle, re
 AXES_REACH = 1.5  # of these axes, relative to the obstacle
 HALF_SPACE_WIDTH = 1.6  # of the plate drawn for a half-space, relative to the arm
 HALF_SPACE_THICKNESS = 0.01  # of that plate, relative to the arm
-SELECTED_COLOR = palette.mixed(palette.OBSTACLE, palette.START, 0.55)
-HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of the curve
-CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
+SELECTED_COLOR = palette.mixed(THEME.obstacle, THEME.start, 0.55)
+HANDLE_COLOR = THEME.spare[1]  # differs from that of the control points of the curve
+CLEARANCE_COLORS = {"inside": THEME.mark, "within the margin": THEME.active, "clear": THEME.regular}
 MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the arm
 
 VECTOR_LABELS = {
@@ -255,7 +256,7 @@ class Obstacles:
         listed = obstacles.obstacles_of(session.shown)
         for name in [name for name in self._drawn if name not in listed]:
             self._drawn.pop(name).handle.remove()
-        opacity = palette.SHEER if len(listed) > MANY_OBSTACLES else palette.SEE_THROUGH
+        opacity = THEME.sheer if len(listed) > MANY_OBSTACLES else THEME.see_through
         for name, obstacle in listed.items():
             self._draw(name, obstacle, opacity, name == session.obstacle)
         # Either a control point of the curve is selected, or an obstacle.
@@ -287,7 +288,7 @@ class Obstacles:
             handle.position = pose.translation
             handle.wxyz = quaternions(pose.rotation)
             drawn = self._drawn[name] = DrawnObstacle(handle, obstacle, look)
-        shade = color(SELECTED_COLOR if selected else palette.OBSTACLE)
+        shade = color(SELECTED_COLOR if selected else THEME.obstacle)
         if tuple(drawn.handle.color) != shade:
             drawn.handle.color = shade
         put(drawn.handle, opacity=opacity)
@@ -299,7 +300,7 @@ class Obstacles:
             f"/obstacles/{self._made}",
             shape.vertices,
             shape.faces,
-            color=color(palette.OBSTACLE),
+            color=color(THEME.obstacle),
             opacity=opacity,
             cast_shadow=False,
             receive_shadow=False,
@@ -380,7 +381,7 @@ class ClearanceLine:
             server.scene.add_icosphere(
                 f"/clearance/end_{k + 1}",
                 0.8 * radius,
-                color(palette.REGULAR),
+                color(THEME.regular),
                 subdivisions=1,
                 cast_shadow=False,
                 visible=False,
@@ -530,7 +531,7 @@ class SceneTab:
             field.show(session)
         put(self._delete, visible=bool(name))
         found = session.nearest
-        shade = palette.QUIET if found is None else CLEARANCE_COLORS[found.level]
+        shade = THEME.quiet if found is None else CLEARANCE_COLORS[found.level]
         text = escape(clearance_text(found))
         put(self._about, content=framed_html("clearance", shade, "Clearance of the arm now", text))
         self._scans.show(session)

@@ -15,7 +15,7 @@ from editor.browser.window import Window
 
 import pinposture as pp
 from pinposture.editor import Editor
-from pinposture.viz import palette
+from pinposture.viz.palette import THEME
 
 pytestmark = pytest.mark.browser
 
@@ -63,7 +63,7 @@ def test_a_curve_that_the_arm_cannot_take(edit: Edit, look: Look, stiff: Path) -
     window.drag(points[1], [-0.25, 0.0, 0.1])
     wait_until(lambda: "The arm cannot take this shape" in window.status, "it is said meanwhile")
     assert "bends too much" in window.status
-    wait_until(lambda: window.shade(palette.MARK) > 20, "the curve is red")
+    wait_until(lambda: window.shade(THEME.mark) > 20, "the curve is red")
     assert session.task is task
     assert np.all(np.isfinite(editor.live.state.q))
     window.picture("07-refused")
@@ -75,7 +75,7 @@ def test_a_curve_that_the_arm_cannot_take(edit: Edit, look: Look, stiff: Path) -
     assert session.task is task
     assert np.array_equal(session.shape.points, points)
     assert session.history.undoable == ""
-    wait_until(lambda: window.shade(palette.MARK) < 20, "nothing is red any more")
+    wait_until(lambda: window.shade(THEME.mark) < 20, "nothing is red any more")
 
 
 def test_a_point_upon_another_and_one_too_few(edit: Edit, look: Look, stiff: Path) -> None:
