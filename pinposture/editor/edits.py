@@ -30,15 +30,40 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-DEGREE = 3
-MAX_SHAPE_POINTS = 32
-MOST_OF_FEW_MODULES = 8  # control points with knots of their own; of more modules, one for each
-FIT_TOLERANCE = 0.02  # deviation of a fitted curve, relative to the mean module length
-MIN_POINT_DISTANCE = 0.2  # between control points, relative to the shortest module
-EXTRA_LENGTH = 1.0  # of a lengthened curve over the arm, in mean module lengths: modules cut corners
-MAX_EXTENSIONS = 20  # of the last point before a curve counts as too short
-POINT_DIGITS = 9  # of control points that are moved [m]
-JOINT_DIGITS = 6  # of joint positions [rad or m]
+
+class ShapeSettings(NamedTuple):
+    """How curves are made and changed."""
+
+    degree: int = 3
+    """Degree of curves."""
+
+    most_points: int = 32
+    """Most control points of a fitted curve."""
+
+    few_modules: int = 8
+    """Number of modules up to which control points have knots of their own; of more modules, one for
+    each."""
+
+    fit_tolerance: float = 0.02
+    """Deviation of a fitted curve, relative to the mean module length."""
+
+    least_distance: float = 0.2
+    """Smallest distance between control points, relative to the shortest module."""
+
+    extra_length: float = 1.0
+    """Length of a lengthened curve beyond the arm, in mean module lengths: modules cut corners."""
+
+    most_extensions: int = 20
+    """How often the last point is moved on before a curve counts as too short."""
+
+    point_digits: int = 9
+    """Digits behind the point of control points that are moved [m]."""
+
+    joint_digits: int = 6
+    """Digits behind the point of joint positions [rad or m]."""
+
+
+SHAPE = ShapeSettings()
 
 
 def keyframes_of(task: Task) -> tuple[Keyframe, ...]:
@@ -81,7 +106,7 @@ class Shape:
     """
 
     points: Array
-    degree: int = DEGREE
+    degree: int = SHAPE.degree
     knots: Array | None = None
     off: float = 0.0
 
@@ -96,19 +121,19 @@ class Shape:
         own = np.array(laid.coefficients)
         knots = laid.knots
         degree = laid.degree
-        if begin == 0.0 and degree <= DEGREE < len(own):
-            if laid.control_points is not None and len(own) <= MAX_SHAPE_POINTS:
+        if begin == 0.0 and degree <= SHAPE.degree < len(own):
+            if laid.control_points is not None and len(own) <= SHAPE.most_points:
                 return cls(own, degree)
             if np.all(knots[: degree + 1] == knots[0]) and len(own) <= most_points(arm):
                 return cls(own, degree, knots)
         end = min(laid.length, begin + required_length(arm))
         if begin > 0.0 or end < laid.length:
             laid = laid.trimmed(begin, end)
-        tolerance = FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
+        tolerance = SHAPE.fit_tolerance * float(arm.chain.module_lengths.mean())
         try:
-            fitted = laid.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
+            fitted = laid.controlled_within(tolerance, most=SHAPE.most_points)
         except InvalidValue:  # too many windings for that many points
-            fitted = laid.controlled(MAX_SHAPE_POINTS)
+            fitted = laid.controlled(SHAPE.most_points)
         return cls(np.array(fitted.coefficients), fitted.degree, off=deviation(laid, fitted))
 
     @property
@@ -202,8 +227,8 @@ class Shape:
             copy = rounded(points[index] + 0.5 * (points[begin + 1] - points[begin]))
             knots = None if after.knots is None else after.inserted(arm, index).knots
             after = replace(after, points=np.insert(points, index + 1, copy, axis=0), knots=knots)
-        if len(after.points) > MAX_SHAPE_POINTS:
-            reason = f"cannot be added: a curve has {MAX_SHAPE_POINTS} control points at most"
+        if len(after.points) > SHAPE.most_points:
+            reason = f"cannot be added: a curve has {SHAPE.most_points} control points at most"
             raise CurveError(f"point {copies[-1] + len(copies) + 1}", reason)
         for before, index in enumerate(copies, start=1):
             after._check_distance(arm, index + before)
@@ -258,7 +283,7 @@ class Shape:
         distances = np.linalg.norm(self.points - self.points[index], axis=1)
         distances[index] = np.inf
         other = int(np.argmin(distances))
-        least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
+        least = SHAPE.least_distance * float(arm.chain.module_lengths.min())
         if distances[other] < least:
             reason = f"is too close to point {other + 1}; allowed: {length_text(least)} or more from it"
             raise CurveError(f"point {index + 1}", reason)
@@ -271,7 +296,7 @@ class Shape:
         """
         longer = self
         required = required_length(arm)
-        for _ in range(MAX_EXTENSIONS):
+        for _ in range(SHAPE.most_extensions):
             missing = required - longer.curve.length
             if missing <= 0.0:
                 return longer
@@ -289,7 +314,7 @@ class Shape:
 
 def rounded(points: Array) -> Array:
     """Round coordinates [m] for task files, far below the accuracy of an arm."""
-    return np.asarray(np.round(points, POINT_DIGITS) + 0.0)  # no -0.0
+    return np.asarray(np.round(points, SHAPE.point_digits) + 0.0)  # no -0.0
 
 
 def into_plane(arm: Arm, points: Array) -> Array:
@@ -303,7 +328,7 @@ def into_plane(arm: Arm, points: Array) -> Array:
 
 def most_points(arm: Arm) -> int:
     """Return how many control points a curve with knots of its own may have for an arm."""
-    return min(max(arm.n_modules, MOST_OF_FEW_MODULES), MAX_SHAPE_POINTS)
+    return min(max(arm.n_modules, SHAPE.few_modules), SHAPE.most_points)
 
 
 def reshaped(index: int, change: Callable[[Arm, Shape], Shape], shape: Shape) -> Callable[[Task], Task]:
@@ -319,15 +344,29 @@ def reshaped(index: int, change: Callable[[Arm, Shape], Shape], shape: Shape) ->
 
 def required_length(arm: Arm) -> float:
     """Return how long a curve has to be for an arm, with some to spare [m]."""
-    return float(arm.length + EXTRA_LENGTH * arm.chain.module_lengths.mean())
+    return float(arm.length + SHAPE.extra_length * arm.chain.module_lengths.mean())
 
 
 Edit: TypeAlias = Callable[[Task], Task]
 
-NEW_KEYFRAME_GAP = 1.0  # from the keyframe before to a new one [s]
-MIN_GAP = 0.05  # between keyframes [s], if the control cycle allows it
-TIME_DIGITS = 9  # of stored times
-TIME_TOLERANCE = 1e-9  # differences of times that count as none [s]
+
+class KeyframeTimes(NamedTuple):
+    """Times of keyframes."""
+
+    new_gap: float = 1.0
+    """Time from the keyframe before to a new one [s]."""
+
+    least_gap: float = 0.05
+    """Least time between keyframes, if the control cycle allows it [s]."""
+
+    digits: int = 9
+    """Digits behind the point of stored times."""
+
+    tolerance: float = 1e-9
+    """Difference of times that counts as none [s]."""
+
+
+TIMES = KeyframeTimes()
 
 
 def times_of(task: Task) -> list[float]:
@@ -408,7 +447,7 @@ def with_keyframe(index: int, **changes: Any) -> Edit:
 
 def joints_at(arm: Arm, q: Array) -> tuple[float, ...]:
     """Return the joint positions of a configuration (nq,), rounded for a keyframe, (nv,) [rad or m]."""
-    return tuple(np.round(arm.positions(q), JOINT_DIGITS).tolist())
+    return tuple(np.round(arm.positions(q), SHAPE.joint_digits).tolist())
 
 
 def configuration_of(arm: Arm, keyframe: Keyframe) -> Array:
@@ -436,12 +475,12 @@ def retimed(index: int, time: float) -> Edit:
             return _with_gaps(task, keyframes, gaps)
         least_gap = _min_gap(task)
         least = times_of(task)[index] - gaps[index] + least_gap
-        if not least - TIME_TOLERANCE <= time < math.inf:
+        if not least - TIMES.tolerance <= time < math.inf:
             allowed = f"{least:.4g} s or later, after the previous keyframe"
             raise InvalidValue(f"time of keyframe {index + 1}", time, allowed)
         later = time - times_of(task)[index]
         gaps[index] += later
-        if index + 1 < len(gaps) and gaps[index + 1] - later >= least_gap - TIME_TOLERANCE:
+        if index + 1 < len(gaps) and gaps[index + 1] - later >= least_gap - TIMES.tolerance:
             gaps[index + 1] -= later
         return _with_gaps(task, keyframes, gaps)
 
@@ -466,7 +505,7 @@ def dragged(index: int, time: float) -> Edit:
         left = [at + keyframe.hold for at, keyframe in zip(times, keyframes, strict=True)]
         low = left[to - 1] + least
         high = times[to] - own.hold - least if to < len(times) else math.inf
-        if not low <= high + TIME_TOLERANCE:
+        if not low <= high + TIMES.tolerance:
             allowed = f"a place with {own.hold + 2.0 * least:.4g} s between other keyframes and their holds"
             raise InvalidValue(f"time of keyframe {index + 1}", time, allowed)
         keyframes.insert(to, own)
@@ -503,11 +542,11 @@ def added(index: int, name: str = "") -> Edit:
     def edit(task: Task) -> Task:
         keyframes = list_keyframes(task, index)
         gaps = _gaps(task)
-        own = replace(keyframes[index], time=None, duration=NEW_KEYFRAME_GAP, hold=0.0, name=name, tip=None)
+        own = replace(keyframes[index], time=None, duration=TIMES.new_gap, hold=0.0, name=name, tip=None)
         if keyframes[index].duration is None:
             own = replace(own, time=0.0, duration=None)
         keyframes.insert(index + 1, own)
-        gaps.insert(index + 1, max(NEW_KEYFRAME_GAP, _min_gap(task)))
+        gaps.insert(index + 1, max(TIMES.new_gap, _min_gap(task)))
         return _with_gaps(task, keyframes, gaps)
 
     return edit
@@ -645,8 +684,8 @@ def _with_gaps(task: Task, keyframes: list[Keyframe], gaps: list[float]) -> Task
             new = 0.0
             given = keyframe.time or back or 0.0
         changes: dict[str, float | None] = {}
-        if given is None or abs(given - new) > TIME_TOLERANCE:
-            value = None if index == 0 else round(new, TIME_DIGITS)
+        if given is None or abs(given - new) > TIMES.tolerance:
+            value = None if index == 0 else round(new, TIMES.digits)
             changes = {"time": None, "duration": value} if by_duration else {"time": value, "duration": None}
         timed.append(replace(keyframe, **changes) if changes else keyframe)  # type: ignore[arg-type]
         left = time + keyframe.hold
@@ -657,4 +696,4 @@ def _with_gaps(task: Task, keyframes: list[Keyframe], gaps: list[float]) -> Task
 
 
 def _min_gap(task: Task) -> float:
-    return max(MIN_GAP, 2.0 * cycle_of(task.limits))
+    return max(TIMES.least_gap, 2.0 * cycle_of(task.limits))

@@ -24,7 +24,7 @@ from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.control.limits import DEFAULT_CYCLE
 from pinposture.curve import Curve
-from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape, joints_at, keyframes_of
+from pinposture.editor.edits import SHAPE, Shape, joints_at, keyframes_of
 from pinposture.editor.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.editor.phases import editable
 from pinposture.editor.postures import arm_line
@@ -395,13 +395,33 @@ EXPORT_KINDS = {
 
 Array = NDArray[np.float64]
 
-BENDS = (1.4, 0.8, 0.4, 0.2)  # turn of the curve between its ends [rad]; the first that the arm can take
-CONTROL_POINTS = 6
-JOINT_SHARES = (0.3, 0.15, 0.05, 0.0)  # of joint ranges, for a shape where no bent line can be taken
-CLOSE = 0.02  # distance of the whole arm from a curve that it takes closely, relative to the arm
-CURVE_LENGTH = 1.08  # relative to the arm, since modules cut corners
-ACCELERATION = 20.0  # limit of each joint [rad/s^2 or m/s^2]: smooth, and fast enough to follow a drag
-BENT_TIME = 3.0  # of the second keyframe [s]
+
+class FirstTask(NamedTuple):
+    """The task that the editor starts with, for an arm without one."""
+
+    bends: tuple[float, ...] = (1.4, 0.8, 0.4, 0.2)
+    """Turns of the curve between its ends, of which the first that the arm can take is shown [rad]."""
+
+    control_points: int = 6
+    """Number of control points of the curve."""
+
+    joint_shares: tuple[float, ...] = (0.3, 0.15, 0.05, 0.0)
+    """Shares of joint ranges, for a shape where no bent line can be taken."""
+
+    close: float = 0.02
+    """Distance of the whole arm from a curve that it takes closely, relative to the arm."""
+
+    length: float = 1.08
+    """Length of the curve, relative to the arm, since modules cut corners."""
+
+    acceleration: float = 20.0
+    """Limit of each joint [rad/s^2 or m/s^2]: smooth, and fast enough to follow a drag."""
+
+    bent_time: float = 3.0
+    """Time of the second keyframe [s]."""
+
+
+FIRST_TASK = FirstTask()
 
 
 def first_task(arm: Arm, name: str = "") -> Task:
@@ -414,27 +434,30 @@ def first_task(arm: Arm, name: str = "") -> Task:
         name: of the task.
     """
     straight = _first_feasible(arm, [_line(arm), *_along_arm(arm, (0.0,))])
-    bent = _first_feasible(arm, [*(_arc(arm, bend) for bend in BENDS), *_along_arm(arm, JOINT_SHARES)])
+    arcs = [_arc(arm, bend) for bend in FIRST_TASK.bends]
+    bent = _first_feasible(arm, [*arcs, *_along_arm(arm, FIRST_TASK.joint_shares)])
     if straight is None or bent is None:
-        ends = (Keyframe(joints=joints_at(arm, _bent(arm, share))) for share in (0.0, JOINT_SHARES[0]))
+        shares = (0.0, FIRST_TASK.joint_shares[0])
+        ends = (Keyframe(joints=joints_at(arm, _bent(arm, share))) for share in shares)
     else:
         ends = (Keyframe(each.curve, placement="as_is", trim=True) for each in (straight, bent))
     first, last = ends
-    keyframes = (replace(first, name="straight"), replace(last, name="bent", time=BENT_TIME))
-    limits = Limits(step=None, dt=DEFAULT_CYCLE, acceleration=ACCELERATION)
+    keyframes = (replace(first, name="straight"), replace(last, name="bent", time=FIRST_TASK.bent_time))
+    limits = Limits(step=None, dt=DEFAULT_CYCLE, acceleration=FIRST_TASK.acceleration)
     return Task(arm=arm, motion=keyframes, limits=limits, name=name)
 
 
 def _first_feasible(arm: Arm, shapes: list[Shape]) -> Shape | None:
     for shape in shapes:
         verdict = judge(arm, Keyframe(shape.curve, placement="as_is", trim=True), None)
-        if verdict.target is not None and (verdict.distance_from_curve or 0.0) < CLOSE * arm.length:
+        off = verdict.distance_from_curve or 0.0
+        if verdict.target is not None and off < FIRST_TASK.close * arm.length:
             return shape
     return None
 
 
 def _line(arm: Arm) -> Shape:
-    along = np.linspace(0.0, CURVE_LENGTH * arm.length, CONTROL_POINTS)
+    along = np.linspace(0.0, FIRST_TASK.length * arm.length, FIRST_TASK.control_points)
     return Shape(_round_points(arm, arm.chain.base + along[:, None] * arm_axis(arm)))
 
 
@@ -452,8 +475,8 @@ def _arc(arm: Arm, bend: float) -> Shape:
         side -= (side @ ahead) * ahead
     side /= np.linalg.norm(side)
     # Straight for the first leg, so that the first module need not turn; then an arc.
-    leg = CURVE_LENGTH * arm.length / (CONTROL_POINTS - 1)
-    headings = np.concatenate([[0.0], np.linspace(0.0, bend, CONTROL_POINTS - 2)])
+    leg = FIRST_TASK.length * arm.length / (FIRST_TASK.control_points - 1)
+    headings = np.concatenate([[0.0], np.linspace(0.0, bend, FIRST_TASK.control_points - 2)])
     steps = leg * (np.cos(headings)[:, None] * ahead + np.sin(headings)[:, None] * side)
     return Shape(_round_points(arm, arm.chain.base + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])))
 
@@ -472,8 +495,8 @@ def _along_arm(arm: Arm, shares: tuple[float, ...]) -> list[Shape]:
             line = arm_line(arm, _bent(arm, share))
             end = line[-1] + (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2]) * 0.05 * arm.length
             through = Curve.points(np.vstack([line, end]))
-            tolerance = 2.0 * FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
-            fitted = through.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
+            tolerance = 2.0 * SHAPE.fit_tolerance * float(arm.chain.module_lengths.mean())
+            fitted = through.controlled_within(tolerance, most=SHAPE.most_points)
             shapes.append(Shape(np.array(fitted.coefficients)))
         except PostureError:
             continue

@@ -29,11 +29,29 @@ LINE_FORMAT = (
     'an object: {"name": [...], "position": [...]}, {"position": [...]} of all joints, or {"q": [...]}'
 )
 TIME_KEYS = (("sec", "nanosec"), ("secs", "nsecs"))  # of times in ROS 2 and ROS 1
-POLL = 0.05  # between two looks for more lines [s]
-MAX_LINE = 2**20  # bytes of a line; longer ones are cut off
-CUT_LINE = 200  # bytes that are kept of a line that is cut off
-MAX_READ = 2**23  # bytes that are read at once
-MAX_LINES_READ = 1000  # of many lines at once; older ones are read only for joints that these lack
+
+
+class ReadingSettings(NamedTuple):
+    """How lines of joint states are read."""
+
+    poll: float = 0.05
+    """Time between two looks for more lines [s]."""
+
+    longest_line: int = 2**20
+    """Longest line; longer ones are cut off [bytes]."""
+
+    cut_line: int = 200
+    """How much is kept of a line that is cut off [bytes]."""
+
+    most_read: int = 2**23
+    """How much is read at once [bytes]."""
+
+    most_lines: int = 1000
+    """Most lines that are read at once; older ones are read only for joints that these lack."""
+
+
+READING = ReadingSettings()
+
 MAX_JOINTS_NAMED = 6  # in a complaint
 
 
@@ -197,14 +215,14 @@ class LineSource:
             del lines[0]
             first = first + 1
             self._cut = False
-        if len(partial) > MAX_LINE:
+        if len(partial) > READING.longest_line:
             if not self._cut:
-                lines.append(partial[:CUT_LINE])
+                lines.append(partial[: READING.cut_line])
             partial = b""
             self._cut = True
         self._partial = b"" if self._cut else partial
         if not content:
-            stop.wait(POLL)
+            stop.wait(READING.poll)
         return Lines(first, lines, self._partial if content else b"", restarted)
 
     def close(self) -> None:
@@ -237,10 +255,10 @@ class LineSource:
         if not self._is_file:
             poll = select.poll()
             poll.register(self._fd, select.POLLIN)
-            if not poll.poll(1000.0 * POLL):
+            if not poll.poll(1000.0 * READING.poll):
                 return b"", False
         try:
-            content = os.read(self._fd, MAX_READ)
+            content = os.read(self._fd, READING.most_read)
         except BlockingIOError:
             return b"", False
         self._offset += len(content)
@@ -386,7 +404,7 @@ class JointStates:
             except InvalidValue:
                 pass
         for k in reversed(range(len(came.lines))):
-            if len(came.lines) - k > MAX_LINES_READ and batch.heard.all():
+            if len(came.lines) - k > READING.most_lines and batch.heard.all():
                 batch.skipped += sum(1 for line in came.lines[: k + 1] if line.strip())
                 break
             line = came.lines[k].strip()

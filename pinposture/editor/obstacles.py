@@ -28,20 +28,53 @@ Change: TypeAlias = Callable[[Obstacle], Obstacle]
 
 COORDINATE_DIGITS = 6  # of places and sizes that come from the mouse [m]
 
+
 # Relative to the length of the arm:
-HANDLE_GAP = 0.025  # between an obstacle and the handles that change its size
-MIN_SIZE = 2e-3  # of an obstacle that is resized
-HALF_SPACE_OFFSET = 0.3  # of the handle of a half-space from its middle
-CLEAR_ROOM = 0.05  # between a new obstacle and the arm or other obstacles
-NEW_SIZE = 0.06  # of a new obstacle: see `Described.of_size`
-FLOOR_DEPTH = 0.1  # of a new half-space below the arm
-OFFSETS = (0.2, 0.3, 0.45, 0.65, 0.9, 1.3)  # of a new obstacle sideways from the arm, tried in turn
+class ObstacleHandling(NamedTuple):
+    """How obstacles are changed and moved with the mouse; lengths are relative to the arm."""
 
-DRAG_PAUSE = 0.15  # after the last move, for a dragged obstacle to count as at rest [s]
-DRAG_FILTER_TIME = 0.03  # time constant of the filter of its velocity [s]
+    handle_gap: float = 0.025
+    """Distance of the handles that change the size of an obstacle from it."""
 
-FRACTIONS = (0.6, 0.4, 0.8, 1.0, 0.25)  # places along the arm beside which a new obstacle is tried, in turn
-ARM_SAMPLES = 200  # points of the arm that a new obstacle keeps away from
+    least_size: float = 2e-3
+    """Smallest size of an obstacle that is resized."""
+
+    half_space_offset: float = 0.3
+    """Distance of the handle of a half-space from its middle."""
+
+    drag_pause: float = 0.15
+    """Time after the last move for a dragged obstacle to count as at rest [s]."""
+
+    filter_time: float = 0.03
+    """Time constant of the filter of its velocity [s]."""
+
+
+HANDLING = ObstacleHandling()
+
+
+class NewObstacle(NamedTuple):
+    """Where a new obstacle is put, and its size, relative to the arm."""
+
+    size: float = 0.06
+    """Its size: see `Described.of_size`."""
+
+    clear_room: float = 0.05
+    """Distance of it from the arm and other obstacles."""
+
+    floor_depth: float = 0.1
+    """Depth of a new half-space below the arm."""
+
+    fractions: tuple[float, ...] = (0.6, 0.4, 0.8, 1.0, 0.25)
+    """Places along the arm beside which it is tried, in turn."""
+
+    offsets: tuple[float, ...] = (0.2, 0.3, 0.45, 0.65, 0.9, 1.3)
+    """Distances sideways from the arm, tried in turn."""
+
+    arm_samples: int = 200
+    """Number of points of the arm that it keeps away from."""
+
+
+NEW = NewObstacle()
 
 
 class ArmScale(NamedTuple):
@@ -59,12 +92,12 @@ class ArmScale(NamedTuple):
     @property
     def gap(self) -> float:
         """Distance of handles from an obstacle [m]."""
-        return HANDLE_GAP * self.length
+        return HANDLING.handle_gap * self.length
 
     @property
     def least(self) -> float:
         """Smallest size of an obstacle [m]."""
-        return MIN_SIZE * self.length
+        return HANDLING.least_size * self.length
 
 
 class SizeHandle(NamedTuple):
@@ -127,7 +160,7 @@ def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
     handles = []
     for name in obstacle.handles:
         if name == "height":
-            foot = pose.translation - HALF_SPACE_OFFSET * scale.length * pose.rotation[:, 0]
+            foot = pose.translation - HANDLING.half_space_offset * scale.length * pose.rotation[:, 0]
             place = foot + scale.gap * pose.rotation[:, 2]
         elif name in ("start", "end"):
             sign = -1.0 if name == "start" else 1.0
@@ -214,16 +247,17 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
     up = arm.plane[np.abs(arm.plane[:, 2]).argmax()] if arm.dimension == 2 else np.array([0.0, 0.0, 1.0])
     up = -up if up[2] < 0.0 else up
     if not OBSTACLE_TYPES[kind].bounded:
-        low = float((path @ up).min()) - FLOOR_DEPTH * arm.length
+        low = float((path @ up).min()) - NEW.floor_depth * arm.length
         return HalfSpace(_as_vector(arm.chain.base + (low - arm.chain.base @ up) * up), _as_vector(up))
     axis = np.cross(*arm.plane) if arm.dimension == 2 else up
-    size = round(NEW_SIZE * arm.length, COORDINATE_DIGITS)
+    size = round(NEW.size * arm.length, COORDINATE_DIGITS)
     tried: list[tuple[float, Obstacle]] = []
     for center in _candidate_places(arm, path, up):
         obstacle: Obstacle = OBSTACLE_TYPES[kind].of_size(_as_vector(center), axis, size)
         radius = bounding_radius(obstacle, ArmScale.of(arm))
         room = float(np.linalg.norm(path - center, axis=1).min()) - radius
-        if room >= CLEAR_ROOM * arm.length and _is_free(scene, center, radius + CLEAR_ROOM * arm.length):
+        least = NEW.clear_room * arm.length
+        if room >= least and _is_free(scene, center, radius + least):
             return obstacle
         tried.append((room, obstacle))
     return max(tried, key=lambda each: each[0])[1]
@@ -241,18 +275,18 @@ def _candidate_places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
         across = np.cross(up, ahead)
         across = across if np.linalg.norm(across) > 1e-3 * arm.length else np.array([0.0, 1.0, 0.0])
         sides = [-across, across, np.cross(ahead, across)]
-    for offset in OFFSETS:
-        for fraction in FRACTIONS:
+    for offset in NEW.offsets:
+        for fraction in NEW.fractions:
             for side in sides:
                 size = float(np.linalg.norm(side))
                 if size > 0.0:
-                    yield path[round(fraction * (ARM_SAMPLES - 1))] + offset * arm.length * side / size
+                    yield path[round(fraction * (NEW.arm_samples - 1))] + offset * arm.length * side / size
 
 
 def _resampled(points: Array) -> Array:
-    """Return points evenly along the line through others, (ARM_SAMPLES, 3)."""
+    """Return points evenly along the line through others, (NEW.arm_samples, 3)."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], ARM_SAMPLES)
+    at = np.linspace(0.0, along[-1], NEW.arm_samples)
     return np.stack([np.interp(at, along, points[:, k]) for k in range(3)], axis=1)
 
 
@@ -394,10 +428,10 @@ def _dragged(name: str, obstacle: Obstacle, task: Task, session: Session) -> Sce
     velocity = np.zeros(3)
     passed = time.monotonic() - session.asked
     last = None if session.proposal is None else session.proposal.task.scene
-    if last is not None and name in last.velocities and 0.0 < passed < DRAG_PAUSE:
+    if last is not None and name in last.velocities and 0.0 < passed < HANDLING.drag_pause:
         step = here.translation - last.obstacles[name].pose(scale.middle).translation
         velocity = np.array(last.velocities[name])
-        velocity += passed / (passed + DRAG_FILTER_TIME) * (step / passed - velocity)
+        velocity += passed / (passed + HANDLING.filter_time) * (step / passed - velocity)
     motion = here * before.pose(scale.middle).inverse()
     return scene.moved({name: motion}, velocities={name: _as_vector(velocity)})
 

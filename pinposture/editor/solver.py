@@ -42,16 +42,39 @@ from pinposture.units import length_text
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
-NEAR_LIMIT = 1e-3  # distance to a position limit at which a joint is at it, in `Arm.joint_units`
-FULL_SPEED = 0.999  # share of its speed limit at which a joint is at it
-UNREPORTED_REST = 1.5  # of a curve beyond the arm, in longest modules: some is needed to bend
+
+class LiveSettings(NamedTuple):
+    """How the live arm moves, and when it rests."""
+
+    step_time: float = 0.02
+    """Duration of a step: the arm moves in real time, within its limits [s]."""
+
+    deadline: float = 0.02
+    """Time after which the arm keeps clear while the controller goes on computing [s]."""
+
+    drag_horizon: float = 0.1
+    """Time for which a dragged obstacle is extrapolated after its last move [s]."""
+
+    rest_interval: float = 0.25
+    """Time between steps while the arm is at rest and nothing is asked [s]."""
+
+    stop_time: float = 0.5
+    """Time for which the arm stands still before it is said to have stopped [s]."""
+
+    near_limit: float = 1e-3
+    """Distance to a position limit at which a joint is at it, in `Arm.joint_units`."""
+
+    full_speed: float = 0.999
+    """Share of its speed limit at which a joint is at it."""
+
+    unreported_rest: float = 1.5
+    """Rest of a curve beyond the arm that is not reported, in longest modules: some is needed to bend."""
+
+
+LIVE_ARM = LiveSettings()
+
 MAX_JOINTS_NAMED = 3
 
-STEP_TIME = 0.02  # of a step [s]: the arm moves in real time, within its limits
-CONTROLLER_DEADLINE = 0.02  # after which the arm keeps clear while the controller goes on computing [s]
-DRAG_HORIZON = 0.1  # for which a dragged obstacle is extrapolated after its last move [s]
-REST_INTERVAL = 0.25  # between steps while the arm is at rest and nothing is asked [s]
-STOP_TIME = 0.5  # for which the arm stands still before it is said to have stopped [s]
 RESTING = ("converged", "stalled")
 TRACKER_FIELDS = ("arm", "controller", "limits", "scene")  # of a problem; changes need a new tracker
 
@@ -122,7 +145,7 @@ def _uncovered_rest(arm: Arm, target: Target) -> list[str]:
     if target.curve is None or target.parameters is None:
         return []
     rest = target.curve.length - float(target.parameters[target.has_target].max(initial=0.0))
-    if rest <= UNREPORTED_REST * float(arm.chain.module_lengths.max()):
+    if rest <= LIVE_ARM.unreported_rest * float(arm.chain.module_lengths.max()):
         return []
     return [f"the curve is longer than the arm by {length_text(rest)} (its grey part)"]
 
@@ -132,7 +155,7 @@ def _joints_at_limits(arm: Arm, target: Target) -> list[str]:
         return []
     positions = arm.positions(target.q)
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
-    near = room[arm.columns] < NEAR_LIMIT
+    near = room[arm.columns] < LIVE_ARM.near_limit
     names = [name for name, at in zip(arm.chain.input_names, near, strict=True) if at]
     if not names:
         return []
@@ -277,8 +300,8 @@ def at_limit(state: ArmState, dq: Array, bound: Array) -> NDArray[np.bool_]:
     """
     arm = state.arm
     room = np.minimum(state.positions - arm.limits.lower, arm.limits.upper - state.positions)
-    fast = np.abs(dq) >= FULL_SPEED * bound
-    at = (room < NEAR_LIMIT * arm.joint_units) | fast
+    fast = np.abs(dq) >= LIVE_ARM.full_speed * bound
+    at = (room < LIVE_ARM.near_limit * arm.joint_units) | fast
     return np.asarray(at[arm.columns])
 
 
@@ -344,9 +367,9 @@ class Solver:
             self._step()
             still = self._tracker.report.status in RESTING or self._tracker.target is None
             if still and not self._problem.dragging_obstacle:
-                outdated.wait(REST_INTERVAL)
+                outdated.wait(LIVE_ARM.rest_interval)
             else:  # the arm moves in real time, however often another problem comes
-                time.sleep(max(STEP_TIME - (time.monotonic() - begun), 0.0))
+                time.sleep(max(LIVE_ARM.step_time - (time.monotonic() - begun), 0.0))
             if outdated.is_set():
                 return
             begun = time.monotonic()
@@ -432,7 +455,7 @@ class Solver:
         if scene is None or not (problem.dragging_obstacle and problem is self._tracked):
             return None
         age = time.monotonic() - problem.asked
-        if age < DRAG_HORIZON:
+        if age < LIVE_ARM.drag_horizon:
             return scene.after(max(age, 0.0))
         return scene.moved({}, velocities=dict.fromkeys(scene.velocities, (0.0, 0.0, 0.0)))
 
@@ -453,7 +476,7 @@ class Solver:
         status, reason = ("holding", self._fault) if self._fault else (report.status, report.reason)
         if status in ("moving", "converged"):
             self._moved = time.monotonic()
-        elif not self._fault and reason != NOT_DONE and time.monotonic() - self._moved < STOP_TIME:
+        elif not self._fault and reason != NOT_DONE and time.monotonic() - self._moved < LIVE_ARM.stop_time:
             # it may only be reversing
             status = "moving"
             reason = ""
@@ -484,7 +507,7 @@ def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
             limits_per_step(problem.limits),
             problem.scene,
             feedback_time_constant=float("inf"),
-            deadline=CONTROLLER_DEADLINE,
+            deadline=LIVE_ARM.deadline,
             planning="thread",  # several trackers a second are made while an obstacle is dragged
         )
     tracker.restart(q, dq)  # keeps the speed: a dragged obstacle causes several new trackers a second
@@ -492,7 +515,7 @@ def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
 
 
 def limits_per_step(limits: Limits) -> Limits:
-    """Return the same limits for cycles of `STEP_TIME`; a limit of the step is scaled to that."""
+    """Return the same limits for cycles of `LIVE_ARM.step_time`; a limit of the step is scaled to that."""
     if limits.step is None or limits.dt is None:
-        return replace(limits, dt=STEP_TIME)
-    return replace(limits, dt=STEP_TIME, step=limits.step * (STEP_TIME / limits.dt))
+        return replace(limits, dt=LIVE_ARM.step_time)
+    return replace(limits, dt=LIVE_ARM.step_time, step=limits.step * (LIVE_ARM.step_time / limits.dt))

@@ -21,7 +21,7 @@ from pinposture.control import Geodesic
 from pinposture.editor import edits, obstacles, solver
 from pinposture.editor.files import autosave_path, first_task
 from pinposture.editor.session import Session
-from pinposture.editor.solver import STEP_TIME, Problem, Solver
+from pinposture.editor.solver import LIVE_ARM, Problem, Solver
 from pinposture.errors import TaskError, ViewerError
 from pinposture.task import Task
 
@@ -235,8 +235,8 @@ def test_a_controller_that_fails_brings_the_arm_to_rest_within_its_limits() -> N
     moving.start()
     until(lambda: len(looked) > 60)
     moving.close()
-    speeds = np.array([six_modules().difference(a, b) for a, b in pairwise(looked)]) / STEP_TIME
-    changes = np.abs(np.diff(speeds, axis=0)) / STEP_TIME
+    speeds = np.array([six_modules().difference(a, b) for a, b in pairwise(looked)]) / LIVE_ARM.step_time
+    changes = np.abs(np.diff(speeds, axis=0)) / LIVE_ARM.step_time
     assert np.abs(speeds).max() > 0.1
     assert changes.max() <= 10.0 * (1.0 + 1e-6)
 

@@ -84,7 +84,7 @@ def test_a_keyframe_is_at_the_time_that_was_asked_and_none_before_it_moves(index
     before = task()
     old = edits.times_of(before)
     left = old[index - 1] + edits.keyframes_of(before)[index - 1].hold
-    if time < left + edits.MIN_GAP - 1e-9:
+    if time < left + edits.TIMES.least_gap - 1e-9:
         with pytest.raises(InvalidValue, match=f"time of keyframe {index + 1}"):
             edits.retimed(index, time)(before)
         return
@@ -93,7 +93,7 @@ def test_a_keyframe_is_at_the_time_that_was_asked_and_none_before_it_moves(index
     assert new[index] == pytest.approx(time, abs=1e-8)
     assert new[:index] == old[:index]
     own_end = time + edits.keyframes_of(before)[index].hold
-    if index < 3 and own_end + edits.MIN_GAP <= old[index + 1]:
+    if index < 3 and own_end + edits.TIMES.least_gap <= old[index + 1]:
         assert np.allclose(new[index + 1 :], old[index + 1 :], atol=1e-8)
     elif index < 3:  # they make way, all by as much
         assert np.allclose(np.subtract(new, old)[index:], time - old[index], atol=1e-8)
@@ -115,11 +115,15 @@ def test_a_dragged_keyframe_comes_near_the_time_that_was_asked_and_no_other_move
     assert [each.curve for each in edits.keyframes_of(after)] == [each.curve for each in frames]
     assert [each.hold for each in edits.keyframes_of(after)] == [each.hold for each in frames]
     ends = [at + frame.hold for at, frame in zip(new, frames, strict=True)]
-    assert min(np.subtract(new[1:], ends[:-1])) >= edits.MIN_GAP - 1e-8
-    free = ends[to - 1] + edits.MIN_GAP <= time <= (new[to + 1] if to < 3 else np.inf) - edits.MIN_GAP
+    assert min(np.subtract(new[1:], ends[:-1])) >= edits.TIMES.least_gap - 1e-8
+    free = (
+        ends[to - 1] + edits.TIMES.least_gap
+        <= time
+        <= (new[to + 1] if to < 3 else np.inf) - edits.TIMES.least_gap
+    )
     if free and frames[to].hold == 0.0:
         assert new[to] == pytest.approx(time, abs=1e-8)
-    assert abs(new[to] - time) <= 0.5 + 2.0 * edits.MIN_GAP + 1e-8  # the longest hold is in the way
+    assert abs(new[to] - time) <= 0.5 + 2.0 * edits.TIMES.least_gap + 1e-8  # the longest hold is in the way
 
 
 def test_where_a_keyframe_cannot_be_dragged_to() -> None:

@@ -19,7 +19,7 @@ from sampling import cases
 
 import pinposture as pp
 from pinposture.editor import measured_arm
-from pinposture.editor.measured_arm import MAX_LINES_READ, JointStateLines, JointStates
+from pinposture.editor.measured_arm import READING, JointStateLines, JointStates
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 
@@ -258,7 +258,7 @@ def test_half_a_line_waits_for_the_other_half(arm, rng, path):
         file.write(line(np.ones(6)) + text[:25])
         file.flush()
         until(states, lambda now: now.count == 1)
-        time.sleep(3 * measured_arm.POLL)
+        time.sleep(3 * READING.poll)
         assert states.latest.count == 1 and states.latest.refused == 0
         file.write(text[25:])
         file.flush()
@@ -275,7 +275,7 @@ def test_a_line_at_the_end_of_a_file_needs_no_end_and_is_counted_once(arm, rng, 
         np.testing.assert_array_equal(latest.q, q)
         file.write("\n")
         file.flush()
-        time.sleep(3 * measured_arm.POLL)
+        time.sleep(3 * READING.poll)
         file.write("x\n")
         file.flush()
         latest = until(states, lambda now: now.refused == 1)
@@ -286,7 +286,7 @@ def test_an_object_in_an_object_is_no_end_of_a_line(arm, path):
     with JointStates(arm, path) as states, path.open("a") as file:
         file.write('{"header": {"stamp": {"sec": 1, "nanosec": 0}}')
         file.flush()
-        time.sleep(3 * measured_arm.POLL)
+        time.sleep(3 * READING.poll)
         assert states.latest.refused == 0
         file.write(', "position": [1, 2, 3, 4, 5, 6]}\n')
         file.flush()
@@ -312,7 +312,7 @@ def test_a_file_that_is_cut_short_or_replaced_is_read_anew(arm, path, tmp_path):
         other.replace(path)
         until(states, lambda now: now.count == 8)
         path.unlink()
-        time.sleep(3 * measured_arm.POLL)
+        time.sleep(3 * READING.poll)
         path.write_text(line(np.ones(6)))
         latest = until(states, lambda now: now.count == 9)
         np.testing.assert_array_equal(latest.q, np.ones(6))
@@ -338,7 +338,7 @@ def test_of_many_lines_the_old_ones_are_not_read(arm, path, monkeypatch):
     with JointStates(arm, path) as states:
         latest = until(states, lambda now: now.count + now.skipped == 10_000)
     np.testing.assert_array_equal(latest.q, np.full(6, 999.9))
-    assert latest.count == len(read) == MAX_LINES_READ
+    assert latest.count == len(read) == READING.most_lines
 
 
 def test_but_for_joints_that_only_old_ones_tell_of(arm, names, path):
@@ -354,7 +354,7 @@ def test_a_named_pipe_and_those_who_write_into_it_one_after_the_other(arm, tmp_p
     path = tmp_path / "pipe"
     os.mkfifo(path)
     with JointStates(arm, path) as states:  # nobody has opened it yet
-        time.sleep(2 * measured_arm.POLL)
+        time.sleep(2 * READING.poll)
         assert not states.ended
         for number in range(1, 4):
             with path.open("w") as file:
@@ -402,7 +402,7 @@ print(latest.q.tolist(), latest.count, latest.refused)
 
 
 def test_a_line_without_end_takes_no_memory(arm, path, monkeypatch):
-    monkeypatch.setattr(measured_arm, "MAX_LINE", 1000)
+    monkeypatch.setattr(measured_arm, "READING", READING._replace(longest_line=1000))
     with JointStates(arm, path) as states, path.open("a") as file:
         file.write('{"position": [' + "1, " * 2000)
         file.flush()

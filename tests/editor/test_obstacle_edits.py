@@ -13,7 +13,7 @@ from editor.solid_distances import signed_distance
 
 import pinposture as pp
 from pinposture.editor.obstacles import (
-    CLEAR_ROOM,
+    NEW,
     add_obstacle,
     change_obstacle,
     delete_obstacle,
@@ -187,7 +187,7 @@ def test_new_obstacles_are_clear_of_the_arm(template, modules, kind):
         points = np.vstack([arm.chain.base, state.points])
         obstacle = new_obstacle(kind, arm, state.points, None)
         dense = np.vstack([np.linspace(a, b, 40) for a, b in pairwise(points)])
-        assert signed_distance(obstacle, dense).min() > 0.9 * CLEAR_ROOM * arm.length
+        assert signed_distance(obstacle, dense).min() > 0.9 * NEW.clear_room * arm.length
 
 
 def test_new_obstacles_are_clear_of_each_other():

@@ -15,7 +15,7 @@ from sampling import cases, examples
 
 import pinposture as pp
 from pinposture.curve.curve import describe_curve
-from pinposture.editor.edits import DEGREE, FIT_TOLERANCE, MAX_SHAPE_POINTS, MIN_POINT_DISTANCE, Shape
+from pinposture.editor.edits import SHAPE, Shape
 from pinposture.editor.solver import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets
@@ -93,7 +93,7 @@ def test_a_moved_point_is_where_it_was_put_and_the_others_stay_but_for_the_last(
     shape = Shape.of(arm, Keyframe(bent_spline()))
     wanted = L * np.array(place)
     rest = np.delete(shape.points, index, axis=0)
-    least = MIN_POINT_DISTANCE * arm.chain.module_lengths.min()
+    least = SHAPE.least_distance * arm.chain.module_lengths.min()
     assume(np.linalg.norm(rest - wanted, axis=1).min() > 1.001 * least)
     after = shape.moved(arm, index, wanted)
     assert np.array_equal(after.points[index], np.round(wanted, 9))
@@ -215,7 +215,7 @@ def test_where_there_is_no_room_for_copies(arm: pp.Arm) -> None:
     with pytest.raises(CurveError, match="is too close to"):
         for _ in range(9):
             shape = shape.duplicated(arm, 1)
-    long = pp.Curve.spline([(L * k, 0.1 * L * (k % 2), 0) for k in range(MAX_SHAPE_POINTS)])
+    long = pp.Curve.spline([(L * k, 0.1 * L * (k % 2), 0) for k in range(SHAPE.most_points)])
     full = Shape.of(arm, Keyframe(long, placement="as_is", trim=True))
     with pytest.raises(CurveError, match="point 4: cannot be added: a curve has 32 control points at most"):
         full.duplicated(arm, 2)
@@ -295,9 +295,9 @@ def test_another_kind_of_curve_is_controlled_within_what_it_says(
     places = laid.at(np.linspace(0.0, min(laid.length, arm.length), 1001))
     fine = shape.curve.at(np.linspace(0.0, shape.curve.length, 40_001))
     apart = max(float(np.linalg.norm(fine - place, axis=1).min()) for place in places)
-    assert shape.off <= FIT_TOLERANCE * arm.chain.module_lengths.mean()
+    assert shape.off <= SHAPE.fit_tolerance * arm.chain.module_lengths.mean()
     assert apart <= shape.off + 1e-4 * arm.length
-    assert DEGREE < len(shape.points) <= MAX_SHAPE_POINTS
+    assert SHAPE.degree < len(shape.points) <= SHAPE.most_points
     assert np.allclose(shape.points[0], arm.chain.base, atol=1e-9)
 
 
@@ -305,8 +305,8 @@ def test_another_kind_of_curve_is_controlled_within_what_it_says(
 def test_a_curve_that_winds_too_much_says_how_far_off_it_is() -> None:
     arm = pp.Arm.from_template("RyRz", modules=40)
     shape = Shape.of(arm, Keyframe(pp.Curve.helix(0.02, 0.005, 40), trim=True))
-    assert len(shape.points) == MAX_SHAPE_POINTS
-    assert shape.off > FIT_TOLERANCE * arm.chain.module_lengths.mean()
+    assert len(shape.points) == SHAPE.most_points
+    assert shape.off > SHAPE.fit_tolerance * arm.chain.module_lengths.mean()
 
 
 def test_a_curve_that_passes_the_base_begins_there(arm: pp.Arm) -> None:

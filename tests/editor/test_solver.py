@@ -22,7 +22,7 @@ from pinposture.control import Geodesic, controller_named
 from pinposture.control.registry import CONTROLLERS
 from pinposture.editor.obstacles import change_obstacle, moved
 from pinposture.editor.session import Session
-from pinposture.editor.solver import STEP_TIME, Live, Problem, Solver, Verdict, judge, limits_per_step
+from pinposture.editor.solver import LIVE_ARM, Live, Problem, Solver, Verdict, judge, limits_per_step
 from pinposture.motion.tracker import Report
 from pinposture.task import Keyframe
 
@@ -194,7 +194,7 @@ def test_no_joint_is_too_fast_whatever_is_changed_on_the_way() -> None:
     assert len(states) > 20
     for earlier, later in pairwise(states):
         moved = np.abs(later.state.positions - earlier.state.positions).max()
-        assert moved <= SPEED * STEP_TIME * (later.steps - earlier.steps) * (1.0 + 1e-9)
+        assert moved <= SPEED * LIVE_ARM.step_time * (later.steps - earlier.steps) * (1.0 + 1e-9)
 
 
 def test_speed_goes_on_where_a_new_scene_comes_in_between() -> None:
@@ -209,9 +209,9 @@ def test_speed_goes_on_where_a_new_scene_comes_in_between() -> None:
             solver._take(problem(step + 2, to_coil(), limits=slow, scene=ball))
         solver._step()
         places.append(solver.live.state.positions)
-    speeds = np.diff(places, axis=0) / STEP_TIME
+    speeds = np.diff(places, axis=0) / LIVE_ARM.step_time
     assert np.abs(speeds).max() > 0.5
-    assert np.abs(np.diff(speeds, axis=0)).max() <= most * STEP_TIME * (1.0 + 1e-6)
+    assert np.abs(np.diff(speeds, axis=0)).max() <= most * LIVE_ARM.step_time * (1.0 + 1e-6)
 
 
 def test_at_once_is_at_once() -> None:
@@ -254,7 +254,8 @@ def test_another_arm_begins_straight() -> None:
 
 def test_limits_of_a_step_are_those_of_as_long_a_time() -> None:
     limits = limits_per_step(pp.Limits(step=0.1, dt=0.1, velocity=2.0))
-    assert (limits.dt, limits.step, limits.velocity) == (STEP_TIME, pytest.approx(0.1 * STEP_TIME / 0.1), 2.0)
+    assert (limits.dt, limits.velocity) == (LIVE_ARM.step_time, 2.0)
+    assert limits.step == pytest.approx(0.1 * LIVE_ARM.step_time / 0.1)
     assert limits_per_step(pp.Limits(step=None, dt=0.1)).step is None
 
 
@@ -306,7 +307,9 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     clock = [100.0]
     for module in ("obstacles", "session", "solver"):
         monkeypatch.setattr(f"pinposture.editor.{module}.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    monkeypatch.setattr("pinposture.editor.solver.CONTROLLER_DEADLINE", float("inf"))  # not by the clock
+    monkeypatch.setattr(
+        "pinposture.editor.solver.LIVE_ARM", LIVE_ARM._replace(deadline=np.inf)
+    )  # not by the clock
     arm = six_modules()
     margin = 0.005
     speed = 0.2
@@ -314,7 +317,7 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     start = np.array([0.0, 0.0, 0.3 * L])
     ball = pp.Sphere(tuple(middle + start), 0.06 * L)
     keyframes = (to_bent(), Keyframe(straight_line()))
-    limits = pp.Limits(step=None, dt=STEP_TIME, velocity=2.0, acceleration=20.0)
+    limits = pp.Limits(step=None, dt=LIVE_ARM.step_time, velocity=2.0, acceleration=20.0)
     scene = pp.Scene({"ball": ball}, margin=margin)
     session = Session(pp.Task(arm=arm, motion=keyframes, limits=limits, scene=scene))
     solver = Solver(session.problem, arm.straight())
@@ -322,9 +325,9 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     tracker = solver._tracker
     least = np.inf
     touched = np.inf
-    for cycle in range(round(0.6 * L / speed / STEP_TIME)):
-        clock[0] += STEP_TIME
-        shift = -speed * cycle * STEP_TIME * np.array([0.0, 0.0, 1.0])
+    for cycle in range(round(0.6 * L / speed / LIVE_ARM.step_time)):
+        clock[0] += LIVE_ARM.step_time
+        shift = -speed * cycle * LIVE_ARM.step_time * np.array([0.0, 0.0, 1.0])
         if cycle % 3 == 0:  # the hand is told of now and then
             change_obstacle("ball", partial(moved, shift=shift), "moved ball", False, session)
             solver._take(session.problem)
@@ -339,7 +342,7 @@ def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
     solver._take(session.problem)
     assert solver._tracker is not tracker
     for _ in range(400):
-        clock[0] += STEP_TIME
+        clock[0] += LIVE_ARM.step_time
         solver._step()
     assert solver.live.status == "converged"
 

@@ -18,7 +18,7 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.surroundings import ClearanceQuery, MarksQuery, marks_of, nearest
 from pinposture.editor.ui.keyframes import row_label
-from pinposture.editor.ui.page import DIRECTIONS, FRAME_MARGIN, framing, status_of, viewpoint
+from pinposture.editor.ui.page import DIRECTIONS, PAGE, framing, status_of, viewpoint
 from pinposture.task import Keyframe, Task
 
 THICK = 0.01
@@ -212,5 +212,5 @@ def test_what_is_framed_is_seen_above_the_plots(
     above = (seen[:, 1] * scale - covered) / (1.0 - covered)
     # As near as it can be: a small margin is left on both sides of one of the two directions.
     edges = [-across.min(), across.max(), -above.min(), above.max()]
-    assert max(edges) <= 1.0 - FRAME_MARGIN + 1e-9
-    assert max(min(edges[:2]), min(edges[2:])) == pytest.approx(1.0 - FRAME_MARGIN, abs=0.005)
+    assert max(edges) <= 1.0 - PAGE.frame_margin + 1e-9
+    assert max(min(edges[:2]), min(edges[2:])) == pytest.approx(1.0 - PAGE.frame_margin, abs=0.005)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from played import LIMITS, Clock, by_hand, four_modules, live_of, moved, short
 
 from pinposture.editor.session import Session
-from pinposture.editor.solver import STEP_TIME
-from pinposture.editor.ui.player import LIVE_SPAN, MAX_ROWS, Recent, trace_of, with_lines
+from pinposture.editor.solver import LIVE_ARM
+from pinposture.editor.ui.player import TRACE, Recent, trace_of, with_lines
 
 
 def test_the_trace_of_a_motion_is_what_it_records() -> None:
@@ -32,11 +32,11 @@ def test_the_trace_of_a_motion_is_what_it_records() -> None:
 
 def test_long_motions_keep_their_peaks() -> None:
     arm = four_modules()
-    rows = 3 * MAX_ROWS + 7
+    rows = 3 * TRACE.most_rows + 7
     off = np.zeros((rows, arm.n_modules, 3))
     off[1234, 2, 0] = 0.5
     trace = trace_of(by_hand(arm, np.zeros((rows, arm.nq)), off))
-    assert len(trace.time) <= MAX_ROWS
+    assert len(trace.time) <= TRACE.most_rows
     assert trace.largest.max() == 0.5
     assert trace.time[0] == 0.0
     assert trace.time[-1] == pytest.approx(0.1 * (rows - 1))
@@ -50,14 +50,14 @@ def test_the_arm_of_the_moment_is_kept_for_some_seconds() -> None:
     recent = Recent(clock)
     live = live_of(session)
     step = np.zeros(arm.nv)
-    step[3] = 0.5 * LIMITS.velocity * STEP_TIME  # half of what it may
+    step[3] = 0.5 * LIMITS.velocity * LIVE_ARM.step_time  # half of what it may
     for count in range(1, 900):
         q = live.state.q + (step if count > 600 else 0.0)
         live = live._replace(steps=count, state=arm.at(q), errors=np.full(arm.n_modules, 0.001 * count))
         recent.add(live, LIMITS)
         clock.now += 0.02
     trace = recent.trace
-    assert trace.time[0] == -LIVE_SPAN
+    assert trace.time[0] == -TRACE.live_span
     assert trace.time[-1] == 0.0
     assert trace.at(-0.02)[1] == pytest.approx(0.899)
     assert trace.at(-1.0)[2] == pytest.approx(0.5)

@@ -48,15 +48,40 @@ Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
 COLORINGS = ("joints at limits", "distance from singularity", "modules only", "torque at rest")
-NEAR_SINGULAR = 0.02  # manipulability index below which a stretch is near singular
-STRETCH_SHARE = 0.2  # of the arm that a stretch is
-MAX_STRETCHES_NAMED = 4
-MAX_ELLIPSOIDS = 8
-ELLIPSOID_OPACITY = 0.4
-MEASURED_OPACITY = 0.45
-OLD_AGE = 1.0  # from which on joint states are called old [s]
-RATE_DIGITS = 4  # of limits, behind the point
-FACTS_PERIOD = 0.25  # for which facts stay, so that they can be read [s]
+
+
+class ArmLook(NamedTuple):
+    """How the arm is drawn, and what is said of it."""
+
+    near_singular: float = 0.02
+    """Manipulability index below which a stretch is near singular."""
+
+    stretch: float = 0.2
+    """Length of a stretch, relative to the arm."""
+
+    most_named: int = 4
+    """Most stretches that are named."""
+
+    most_ellipsoids: int = 8
+    """Most ellipsoids that are drawn."""
+
+    ellipsoid_opacity: float = 0.4
+    """Opacity of ellipsoids."""
+
+    measured_opacity: float = 0.45
+    """Opacity of the measured arm."""
+
+    old_age: float = 1.0
+    """Age from which on joint states are called old [s]."""
+
+    rate_digits: int = 4
+    """Digits of limits behind the point."""
+
+    facts_period: float = 0.25
+    """Time for which facts stay, so that they can be read [s]."""
+
+
+LOOK = ArmLook()
 
 
 class ArmDrawing:
@@ -176,7 +201,7 @@ def stretch_indices(state: ArmState) -> NDArray[np.float64]:
 def stretch_width(arm: Arm) -> int:
     """Return how many modules such a stretch has."""
     sizes = np.diff(arm.chain.input_ends, prepend=0).tolist()
-    for width in range(max(1, round(STRETCH_SHARE * arm.n_modules)), arm.n_modules + 1):
+    for width in range(max(1, round(LOOK.stretch * arm.n_modules)), arm.n_modules + 1):
         if all(sum(sizes[k : k + width]) >= arm.dimension for k in range(len(sizes) - width + 1)):
             return width
     return arm.n_modules
@@ -184,7 +209,7 @@ def stretch_width(arm: Arm) -> int:
 
 def near_singular(state: ArmState) -> list[tuple[int, int]]:
     """Return the first and last module of each stretch that is near singular, counted from 1."""
-    near = stretch_indices(state) < NEAR_SINGULAR
+    near = stretch_indices(state) < LOOK.near_singular
     edges = np.flatnonzero(np.diff(np.concatenate([[0], near.astype(int), [0]])))
     return [(int(first) + 1, int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -193,7 +218,7 @@ class Ellipsoids:
     """Manipulability ellipsoids at some control points, evenly along the arm."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
-        every = -(-arm.n_modules // MAX_ELLIPSOIDS)
+        every = -(-arm.n_modules // LOOK.most_ellipsoids)
         self.points = tuple(range(arm.n_modules - 1, -1, -every))[::-1]
         count = len(self.points)
         self._length = drawn_length(arm, self.points)
@@ -206,7 +231,7 @@ class Ellipsoids:
             batched_positions=np.zeros((count, 3)),
             batched_scales=np.full((count, 3), 1e-6),
             batched_colors=np.tile(color(THEME.regular), (count, 1)),
-            opacity=ELLIPSOID_OPACITY,
+            opacity=LOOK.ellipsoid_opacity,
             cast_shadow=False,
             receive_shadow=False,
             lod="off",
@@ -241,7 +266,7 @@ class MeasuredArm:
         if self._states is None:
             return
         self._about = server.gui.add_html("")
-        self._drawing = ArmDrawing(server, arm, "/measured", MEASURED_OPACITY, THEME.final)
+        self._drawing = ArmDrawing(server, arm, "/measured", LOOK.measured_opacity, THEME.final)
         self._drawing.set_visible(False)
 
     def show(self, _: Session, live: Live) -> None:
@@ -259,7 +284,7 @@ class MeasuredArm:
             away = live.arm.at(latest.q).points - live.state.points
             distance = float(np.linalg.norm(away, axis=1).mean())
             lines = [f"{length_text(distance)} from the plan on average"]
-            if latest.age > OLD_AGE:
+            if latest.age > LOOK.old_age:
                 lines.append(f"the last joint state is {latest.age:.0f} s old")
         if latest.complaint:
             lines.append(latest.complaint)
@@ -292,7 +317,7 @@ class DeclaredNumber(NamedTuple):
         if value is None:
             return 0.0
         listed = np.array(list(value.values()) if isinstance(value, dict) else value)
-        return round(float(np.min(np.diag(listed) if listed.ndim == 2 else listed)), RATE_DIGITS)
+        return round(float(np.min(np.diag(listed) if listed.ndim == 2 else listed)), LOOK.rate_digits)
 
     def request(self, shown: float) -> Request:
         """Return the request of another number."""
@@ -341,7 +366,7 @@ class ArmTab:
         with gui.add_folder("Weight and torques"):
             hint = "Mass at the tip; what the arm carries elsewhere stays"
             mass = gui.add_number("Payload [kg]", 0.0, min=0.0, step=0.1, hint=hint)
-            mass.precision = RATE_DIGITS
+            mass.precision = LOOK.rate_digits
             self._payload = bind(mass, _payload_of, _carry)
             self._numbers += [self._add_number(gui, bind, each) for each in NUMBERS if each.kind is Weight]
             kept = gui.add_checkbox("Keep torques", False, hint=describe_field(Limits, "effort"))
@@ -353,7 +378,7 @@ class ArmTab:
         """Add a field for a number; its hint is what the class says of it."""
         hint = f"{describe_field(number.kind, number.name)} 0 stands for this default."
         control = gui.add_number(number.label, 0.0, min=0.0, step=number.step, hint=hint)
-        control.precision = RATE_DIGITS
+        control.precision = LOOK.rate_digits
         return number, bind(control, number.shown, number.request)
 
     def show(self, session: Session, live: Live) -> None:
@@ -366,7 +391,7 @@ class ArmTab:
         now = time.monotonic()
         if live.steps != self._steps and now >= self._due:
             self._steps = live.steps
-            self._due = now + FACTS_PERIOD
+            self._due = now + LOOK.facts_period
             put(self._facts, content=_facts(live))
         self._drawing.paint(body_colors(self._coloring.value, live, self._drawing.shades))
         self._ellipsoids.show(live.state, live.steps, self._with_ellipsoids.value)
@@ -374,7 +399,7 @@ class ArmTab:
 
 def _payload_of(session: Session) -> float:
     masses = [each.mass for each in session.task.arm.weight.payloads if is_at_tip(each)]
-    return round(sum(masses), RATE_DIGITS)
+    return round(sum(masses), LOOK.rate_digits)
 
 
 def _carry(mass: float) -> Request:
@@ -398,8 +423,8 @@ def _move_at_once(value: bool) -> Request:
 def _facts(live: Live) -> str:
     arm = live.arm
     stretches = near_singular(live.state)
-    listed = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in stretches[:MAX_STRETCHES_NAMED])
-    more = " ..." if len(stretches) > MAX_STRETCHES_NAMED else ""
+    listed = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in stretches[: LOOK.most_named])
+    more = " ..." if len(stretches) > LOOK.most_named else ""
     bound = int(np.count_nonzero(live.at_limit))
     lag = "..." if live.lag is None else f"{1000.0 * live.lag:.0f} ms"
     return (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -45,23 +45,52 @@ from pinposture.viz.palette import THEME
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
-CURVE_PIECES = 240  # straight pieces of the curve
-OTHER_PIECES = 64  # of the curves of other keyframes
-BALL_RADIUS = 1.8  # of a control point of the curve, relative to that of the bars of the arm
-GRID = 0.02  # first step of the grid, relative to the arm
-AXES_SIZE = 0.14  # of the axes at the selected one, relative to the arm
-SMALL_ERROR = 1e-3  # green below it; relative to a module length
-LARGE_ERROR = 0.3  # red above it; relative to a module length
-LINE_ERROR = 1e-2  # from which on a line leads to the target, relative to a module length
-BALL_COLOR = palette.mixed(THEME.spare[0], THEME.start, 0.6)  # of control points of the curve
-SELECTED_BALL_COLOR = palette.mixed(THEME.start, THEME.target, 0.45)  # of those that are selected
-EARLIEST = 0.25  # place of the first curve on the scale of times: earlier ones are too pale on white
+
+class CurveLook(NamedTuple):
+    """How curves, their control points and their targets are drawn."""
+
+    pieces: int = 240
+    """Number of straight pieces of the curve."""
+
+    other_pieces: int = 64
+    """Number of those of the curves of other keyframes."""
+
+    ball_radius: float = 1.8
+    """Radius of a control point of the curve, relative to that of the bars of the arm."""
+
+    grid: float = 0.02
+    """First step of the grid, relative to the arm."""
+
+    axes_size: float = 0.14
+    """Size of the axes at the selected control point, relative to the arm."""
+
+    small_error: float = 1e-3
+    """Error up to which a target is green, in module lengths."""
+
+    large_error: float = 0.3
+    """Error from which on it is red, in module lengths."""
+
+    line_error: float = 1e-2
+    """Error from which on a line leads to it, in module lengths."""
+
+    ball_color: str = palette.mixed(THEME.spare[0], THEME.start, 0.6)
+    """Colour of control points of the curve."""
+
+    selected_color: str = palette.mixed(THEME.start, THEME.target, 0.45)
+    """Colour of selected ones."""
+
+    earliest: float = 0.25
+    """Place of the first curve on the scale of times: earlier ones are too pale on white."""
+
+
+CURVE = CurveLook()
+
 LEGEND = (
     (THEME.modules[0], "the arm"),
     (THEME.rest, "the curve beyond the arm"),
     (THEME.target, "the curve, where the arm lies on it"),
     (THEME.mark, "a curve that the arm cannot take"),
-    (BALL_COLOR, "control points of the curve"),
+    (CURVE.ball_color, "control points of the curve"),
     (THEME.regular, "points of the arm on their targets; red: far off"),
     (THEME.active, "rings: active points of the arm"),
     (palette.in_time(0.7), "curves of other keyframes, by their times"),
@@ -77,10 +106,10 @@ def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
 
 
 def needed_part(arm: Arm, keyframe: Keyframe) -> Array:
-    """Return places along the part of a curve that the arm needs, (OTHER_PIECES + 1, 3) [m]."""
+    """Return places along the part of a curve that the arm needs, (CURVE.other_pieces + 1, 3) [m]."""
     laid = drawn_curve(arm, keyframe)
     end = min(laid.length, required_length(arm))
-    return np.asarray(laid.at(np.linspace(0.0, end, OTHER_PIECES + 1)))
+    return np.asarray(laid.at(np.linspace(0.0, end, CURVE.other_pieces + 1)))
 
 
 class CurveDrawing:
@@ -88,7 +117,7 @@ class CurveDrawing:
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._shown: tuple[object, ...] = ()
-        self._line = add_lines(server, "/curve/line", CURVE_PIECES, 0.7 * link_radius(arm))
+        self._line = add_lines(server, "/curve/line", CURVE.pieces, 0.7 * link_radius(arm))
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
@@ -99,7 +128,7 @@ class CurveDrawing:
             return
         self._shown = key
         curve = shape.curve if len(shape.points) else drawn_curve(session.arm, session.keyframe)
-        along = np.linspace(0.0, curve.length, CURVE_PIECES + 1)
+        along = np.linspace(0.0, curve.length, CURVE.pieces + 1)
         places = np.asarray(curve.at(along))
         self._line.points = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
         if verdict is not None:
@@ -107,9 +136,9 @@ class CurveDrawing:
 
 
 def _curve_colors(curve: Curve, along: Array, live: Live) -> Colors:
-    """Return the colours of the ends of the pieces, (CURVE_PIECES, 2, 3)."""
+    """Return the colours of the ends of the pieces, (CURVE.pieces, 2, 3)."""
     target = live.verdict.target
-    shades = np.empty((CURVE_PIECES, 2, 3), dtype=np.uint8)
+    shades = np.empty((CURVE.pieces, 2, 3), dtype=np.uint8)
     if target is None:
         shades[:] = color(THEME.mark)
         return shades
@@ -204,14 +233,14 @@ class Handles:
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._server = server
         self._post = post
-        self._radius = BALL_RADIUS * link_radius(arm)
+        self._radius = CURVE.ball_radius * link_radius(arm)
         self._balls: list[viser.IcosphereHandle] = []
         self._drags: dict[int, Drag] = {}
         self._colors: list[str] = []
         self._frame = server.scene.add_line_segments(
             "/handles/frame", np.zeros((1, 2, 3)), color(THEME.rest), thickness=0.25 * link_radius(arm)
         )
-        self._axes = add_axes(server, "/handles/axes", AXES_SIZE * arm.length)
+        self._axes = add_axes(server, "/handles/axes", CURVE.axes_size * arm.length)
         self._index = -1
         self._keyframe = -1
         self._axes_drag = self._drag(self._axes, lambda drag: self._move(self._index, drag))
@@ -225,7 +254,7 @@ class Handles:
         for index, (ball, point) in enumerate(zip(self._balls, points, strict=True)):
             if index == 0 or not self._drags[index].held:
                 put_at(ball, point)
-            own = SELECTED_BALL_COLOR if index in session.handles else BALL_COLOR
+            own = CURVE.selected_color if index in session.handles else CURVE.ball_color
             own = THEME.base if index == 0 else own
             if self._colors[index] != own:
                 self._colors[index] = own
@@ -252,7 +281,7 @@ class Handles:
             ball = self._server.scene.add_icosphere(
                 f"/handles/point_{index + 1}",
                 self._radius,
-                color(BALL_COLOR),
+                color(CURVE.ball_color),
                 subdivisions=2,
                 cast_shadow=False,
             )
@@ -278,7 +307,7 @@ class TipHandle:
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._start = arm.straight()
         self._keyframe = -1
-        self._axes = add_axes(server, "/handles/tip", AXES_SIZE * arm.length, sliders=True)
+        self._axes = add_axes(server, "/handles/tip", CURVE.axes_size * arm.length, sliders=True)
         self._drag = Drag(post, self._axes, self._ask, lambda: self._keyframe)
 
     def show(self, session: Session, live: Live) -> None:
@@ -332,15 +361,15 @@ class Points:
             self._rings.batched_scales = np.where(live.active, 1.0, 1e-6).astype(np.float32)
         # A line from each point to its target, if that is elsewhere.
         ends = points if live.target is None else live.target.points
-        off = (live.errors > LINE_ERROR * self._unit)[:, None]
+        off = (live.errors > CURVE.line_error * self._unit)[:, None]
         self._error_lines.points = np.stack([points, np.where(off, ends, points)], axis=1).astype(np.float32)
         self._error_lines.colors = np.repeat(colors[:, None], 2, axis=1)
 
 
 def error_colors(errors: Array, unit: float) -> Colors:
     """Return colours of errors (m,) [m] by their orders of magnitude, relative to a module length [m]."""
-    sizes = np.clip(errors / unit, SMALL_ERROR, LARGE_ERROR)
-    shares = 1.0 - np.log(sizes / SMALL_ERROR) / np.log(LARGE_ERROR / SMALL_ERROR)
+    sizes = np.clip(errors / unit, CURVE.small_error, CURVE.large_error)
+    shares = 1.0 - np.log(sizes / CURVE.small_error) / np.log(CURVE.large_error / CURVE.small_error)
     # Squared, since `index_color` takes the square root of the index.
     colors = [color(palette.index_color(THEME.regular_index * s * s)) for s in shares]
     return np.array(colors, dtype=np.uint8)
@@ -374,11 +403,11 @@ class OtherCurves:
             self._drawn[id(each)] = before.get(id(each)) or (each, needed_part(self._arm, each))
         others = [index for index in range(len(keyframes)) if index != selected]
         lines = np.stack([self._drawn[id(keyframes[index])][1] for index in others])
-        shares = EARLIEST + (1.0 - EARLIEST) * np.array(others) / (len(keyframes) - 1)
+        shares = CURVE.earliest + (1.0 - CURVE.earliest) * np.array(others) / (len(keyframes) - 1)
         colors = np.array([color(palette.in_time(share)) for share in shares], np.uint8)
         ends = np.stack([lines[:, :-1], lines[:, 1:]], axis=2).reshape(-1, 2, 3)
         self._lines.points = ends.astype(np.float32)
-        self._lines.colors = np.repeat(np.repeat(colors, OTHER_PIECES, axis=0)[:, None], 2, axis=1)
+        self._lines.colors = np.repeat(np.repeat(colors, CURVE.other_pieces, axis=0)[:, None], 2, axis=1)
 
 
 TIP = -1
@@ -432,7 +461,7 @@ class ShapeTab:
         snap = gui.add_checkbox(
             "Snap to a grid", False, hint="Snap dragged points to a grid in the world frame"
         )
-        first = round_number(GRID * arm.length) / MILLIMETRE
+        first = round_number(CURVE.grid * arm.length) / MILLIMETRE
         least = 10.0**-digits
         self._step = gui.add_number("Grid [mm]", first, min=0.1 * least, step=least)
         self._step.precision = digits + 1

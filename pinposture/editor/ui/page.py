@@ -15,7 +15,7 @@ import viser
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.editor.edits import TIME_TOLERANCE, differ_in_weight_alone, keyframes_of, lap_time
+from pinposture.editor.edits import TIMES, differ_in_weight_alone, keyframes_of, lap_time
 from pinposture.editor.files import Files
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.obstacles import obstacles_of
@@ -27,7 +27,7 @@ from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import Surroundings
 from pinposture.editor.ui.arm import ArmDrawing, ArmTab, MeasuredArm
 from pinposture.editor.ui.curve import (
-    BALL_RADIUS,
+    CURVE,
     CurveDrawing,
     Handles,
     OtherCurves,
@@ -72,16 +72,33 @@ STATUS_COLORS = {
     "error": THEME.mark,
 }
 
-# Distances from which on the status is a warning, in arm lengths: of the whole arm from the curve, of the tip
-# from its task, and the mean one of control points from their targets.
-MAX_CURVE_DISTANCE = 0.02
-MAX_TIP_ERROR = 0.01
-MAX_MEAN_ERROR = 0.01
+
+class StatusSettings(NamedTuple):
+    """When the status is a warning, and its size."""
+
+    curve_distance: float = 0.02
+    """Distance of the whole arm from the curve from which on it warns, in arm lengths."""
+
+    tip_error: float = 0.01
+    """Distance of the tip from its task from which on it warns, in arm lengths."""
+
+    mean_error: float = 0.01
+    """Mean distance of control points from their targets from which on it warns, in arm lengths."""
+
+    judging_time: float = 0.4
+    """Age of a problem before it mentions it [s]."""
+
+    least_height: int = 124
+    """Smallest height [pixels]."""
+
+    most_share: int = 45
+    """Largest share of the height of the page [%]."""
+
+
+STATUS = StatusSettings()
+
 
 AVOIDING_CONTROLLER = "geodesic"
-JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
-STATUS_HEIGHT = 124  # at least [pixels]
-STATUS_SHARE = 45  # of the height of the page, at most [%]
 IN_SIGHT = """<style>
 div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}
 div:has(> div > div > div > #always) {overflow: visible !important}
@@ -107,7 +124,9 @@ class Status:
             message = f"<div {about}>{escape(notice.text)}</div>"
         content = framed_html("status", STATUS_COLORS[kind], escape(head), escape(more), message)
         # At least so high that what is below it seldom jumps; long reasons are shown whole.
-        style = f"min-height:min({STATUS_HEIGHT}px, 15vh);max-height:{STATUS_SHARE}vh;overflow-y:auto"
+        style = (
+            f"min-height:min({STATUS.least_height}px, 15vh);max-height:{STATUS.most_share}vh;overflow-y:auto"
+        )
         put(self._html, content=f'{IN_SIGHT}<div id="always" style="{style}">{content}</div>')
 
 
@@ -143,7 +162,7 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
     """Return the status of the arm: "good", "warning" or "error", a heading, and more."""
     verdict = live.verdict
     found = session.nearest
-    if live.number < session.number and time.monotonic() - session.asked > JUDGING_TIME:
+    if live.number < session.number and time.monotonic() - session.asked > STATUS.judging_time:
         return "warning", "Checking whether the arm can take this shape ...", ""
     if verdict.reason:
         return "error", "The arm cannot take this shape", verdict.reason
@@ -170,9 +189,9 @@ def _is_off(session: Session, live: Live) -> bool:
     if session.playback.q is not None or live.status == "moving":
         return False
     return (
-        (live.verdict.distance_from_curve or 0.0) > MAX_CURVE_DISTANCE * length
-        or (live.tip_error or 0.0) > MAX_TIP_ERROR * length
-        or live.mean_error > MAX_MEAN_ERROR * length
+        (live.verdict.distance_from_curve or 0.0) > STATUS.curve_distance * length
+        or (live.tip_error or 0.0) > STATUS.tip_error * length
+        or live.mean_error > STATUS.mean_error * length
     )
 
 
@@ -218,25 +237,51 @@ def _lap(task: Task, playback: Playback) -> str:
     motion = playback.motion
     if task.repeat == 1 or sample is None or motion is None:
         return ""
-    lap = int(float(motion.plan_time[sample.row]) / lap_time(task) + TIME_TOLERANCE)
+    lap = int(float(motion.plan_time[sample.row]) / lap_time(task) + TIMES.tolerance)
     return f", lap {min(lap + 1, task.repeat)} of {task.repeat}"
 
 
 Array = NDArray[np.float64]
 
-CONTROLS_WIDTH = 340  # [pixels]
-NUDGE = 0.01  # by an arrow key, relative to the arm
-FIELD_OF_VIEW = 40.0  # of the camera, vertically [deg]
+
+class PageLayout(NamedTuple):
+    """Sizes of the page, and the view of its camera."""
+
+    controls_width: int = 340
+    """Width of the controls [pixels]."""
+
+    nudge: float = 0.01
+    """Motion by an arrow key, relative to the arm."""
+
+    field_of_view: float = 40.0
+    """Field of view of the camera, vertically [deg]."""
+
+    least_level: float = 0.1
+    """Horizontal part of the direction of an arm below which it counts as upright."""
+
+    floor_cells: int = 10
+    """Number of cells of the floor along the arm."""
+
+    frame_margin: float = 0.15
+    """Room beside what is framed, relative to the part of the picture that is not covered."""
+
+    least_covered: float = 0.3
+    """Smallest share of the picture that the plots cover: browsers tell its height in pixels of the screen,
+    which may be several to one of the page."""
+
+    most_covered: float = 0.6
+    """Largest share of the picture that the plots cover."""
+
+    covered_at_first: float = 0.39
+    """Share of the picture that they cover before a browser tells its height."""
+
+    least_aspect: float = 1.0
+    """Aspect ratio of the narrowest picture in which the initial camera sees the whole arm."""
+
+
+PAGE = PageLayout()
+
 CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of an arm along the x axis
-MIN_LEVEL = 0.1  # horizontal part of the direction of an arm, below which it counts as upright
-FLOOR_CELLS = 10  # along the arm
-FRAME_MARGIN = 0.15  # beside what is framed, of the part of the picture that is not covered
-# Share of the picture that the plots cover, at least and at most: browsers tell its height in pixels of the
-# screen, which may be several to one of the page.
-MIN_COVERED = 0.3
-MAX_COVERED = 0.6
-COVERED_AT_FIRST = 0.39
-MIN_ASPECT = 1.0  # of a picture in which the initial camera sees the whole arm
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
     "All": CAMERA_DIRECTION,
     "Front": np.array([1.0, 0.0, 0.0]),
@@ -305,7 +350,7 @@ def _nudge(axis: int, sign: float, session: Session) -> None:
     selected_points(session)
     arm = session.arm
     last = session.handles[-1]
-    step = sign * (session.grid or NUDGE * arm.length) * np.eye(3)[axis]
+    step = sign * (session.grid or PAGE.nudge * arm.length) * np.eye(3)[axis]
     if arm.dimension == 2 and np.linalg.norm(arm.plane @ step) < 1e-6 * arm.length:
         raise CurveError(f"point {last + 1}", f"cannot leave the plane of the arm along {'xyz'[axis]}")
     move_point(last, session.shape.points[last] + step, True, session)
@@ -323,7 +368,7 @@ def camera_direction(arm: Arm) -> Array:
     """Return the direction, (3,), from an arm to a camera that sees its base at the left."""
     ahead = arm_axis(arm)
     level = float(np.hypot(*ahead[:2]))
-    if level < MIN_LEVEL:
+    if level < PAGE.least_level:
         return CAMERA_DIRECTION
     cosine, sine = ahead[:2] / level
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -335,8 +380,8 @@ def viewpoint(task: Task) -> Viewpoint:
     arm = task.arm
     points = [arm.chain.base[None], arm.at(arm.straight()).points]
     points += [needed_part(arm, each) for each in keyframes_of(task)]
-    radius = BALL_RADIUS * link_radius(arm)
-    return framing(np.vstack(points), radius, camera_direction(arm), MIN_ASPECT, COVERED_AT_FIRST)
+    radius = CURVE.ball_radius * link_radius(arm)
+    return framing(np.vstack(points), radius, camera_direction(arm), PAGE.least_aspect, PAGE.covered_at_first)
 
 
 def framing(points: Array, radius: float, direction: Array, aspect: float, covered: float) -> Viewpoint:
@@ -354,9 +399,9 @@ def framing(points: Array, radius: float, direction: Array, aspect: float, cover
     right /= np.linalg.norm(right)
     axes = np.array([right, np.cross(right, ahead), ahead])
     seen = points @ axes.T
-    slope = float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
+    slope = float(np.tan(np.radians(PAGE.field_of_view) / 2.0))
     middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-    inside = 1.0 - FRAME_MARGIN
+    inside = 1.0 - PAGE.frame_margin
     # Rays through the edges of the part to fill, at the left and right, and below and above [tangents].
     edges = slope * np.array([[-aspect, aspect], [2.0 * covered - 1.0, 1.0]])
     edges = edges.mean(axis=1, keepdims=True) + inside * (edges - edges.mean(axis=1, keepdims=True))
@@ -368,7 +413,7 @@ def framing(points: Array, radius: float, direction: Array, aspect: float, cover
     depth = float(np.min((low - high) / (edges[:, 1] - edges[:, 0]), initial=middle[2] - 1e-3))
     across = 0.5 * (low + high + depth * edges.sum(axis=1))
     position = np.append(across, depth) @ axes
-    return Viewpoint(position, position + (middle[2] - depth) * ahead, float(np.radians(FIELD_OF_VIEW)))
+    return Viewpoint(position, position + (middle[2] - depth) * ahead, float(np.radians(PAGE.field_of_view)))
 
 
 def set_stage(server: viser.ViserServer, arm: Arm, view: Viewpoint) -> None:
@@ -383,7 +428,7 @@ def set_stage(server: viser.ViserServer, arm: Arm, view: Viewpoint) -> None:
     camera.position, camera.look_at, camera.fov = view
     camera.near = 0.01 * length
     camera.far = 100.0 * length
-    cell = round_number(length / FLOOR_CELLS)
+    cell = round_number(length / PAGE.floor_cells)
     floor = float(min(base[2], tip[2])) - 0.3 * length - 3.0 * link_radius(arm)
     server.scene.add_grid(
         "/floor",
@@ -444,7 +489,7 @@ class Page:
         scans = self._surroundings.scans
         server.gui.set_panel_label("pinposture")
         server.gui.main_panel.dock_right()
-        server.gui.main_panel.set_width(CONTROLS_WIDTH)
+        server.gui.main_panel.set_width(PAGE.controls_width)
         set_stage(server, arm, self.view)
         self._arm = ArmDrawing(server, arm)
         self._parts: list[Part] = [
@@ -481,7 +526,7 @@ class Page:
         async def watch(camera: viser.CameraHandle) -> None:
             nonlocal narrow
             before = narrow
-            narrow = camera.aspect < MIN_ASPECT
+            narrow = camera.aspect < PAGE.least_aspect
             if narrow and not before:
                 self._post(partial(self._frame, "All", only=client.client_id))
 
@@ -493,14 +538,14 @@ class Page:
         q = self._arm.q
         own = [self._arm.foot, arm.chain.base[None], session.shape.points, arm.at(q).points]
         points = np.vstack([*own, *(needed_part(arm, each) for each in keyframes_of(session.shown))])
-        radius = BALL_RADIUS * link_radius(arm)
+        radius = CURVE.ball_radius * link_radius(arm)
         for number, client in self._server.get_clients().items():
             camera = client.camera
             if only not in (None, number):
                 continue
             with client.atomic(), contextlib.suppress(AssertionError):  # it has not sent its camera yet
                 covered = covered_height(camera.image_height) / camera.image_height
-                covered = min(max(covered, MIN_COVERED), MAX_COVERED)
+                covered = min(max(covered, PAGE.least_covered), PAGE.most_covered)
                 away = camera_direction(arm) if direction == "All" else DIRECTIONS[direction]
                 view = framing(points, radius, away, camera.aspect, covered)
                 camera.position = view.position

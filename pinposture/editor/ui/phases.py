@@ -40,11 +40,28 @@ from pinposture.viz.palette import THEME
 Array = NDArray[np.float64]
 
 DEGREE = np.pi / 180.0
-NUMBER_STEP = 0.1  # of the arrows beside a number
-PATH_PIECES = 120  # straight pieces of the path of a leader
-PATH_COLOR = THEME.spare[2]
-GOAL_COLOR = THEME.spare[1]
-GOAL_RADIUS = 1.8  # of a goal of the tip, relative to that of the bars of the arm
+
+
+class PhaseLook(NamedTuple):
+    """How the path of a leader and the goal of a tip are drawn, and their fields."""
+
+    number_step: float = 0.1
+    """Step of the arrows beside a number."""
+
+    path_pieces: int = 120
+    """Number of straight pieces of the path of a leader."""
+
+    path_color: str = THEME.spare[2]
+    """Colour of that path."""
+
+    goal_color: str = THEME.spare[1]
+    """Colour of a goal of the tip."""
+
+    goal_radius: float = 1.8
+    """Radius of a goal, relative to that of the bars of the arm."""
+
+
+PHASE = PhaseLook()
 
 
 class PhaseField(NamedTuple):
@@ -210,7 +227,7 @@ class PhaseControls:
         )
         self._fields: list[Bound] = []
         for key, (label, unit, digits, hint, _) in NUMBERS.items():
-            number = gui.add_number(label, 0.0, min=0.0, step=NUMBER_STEP, visible=False, hint=hint)
+            number = gui.add_number(label, 0.0, min=0.0, step=PHASE.number_step, visible=False, hint=hint)
             number.precision = digits
             self._fields.append(bind(number, partial(_value_of, key), partial(self._set, key), unit=unit))
         finest = {"position": coordinate_digits(arm.length)}
@@ -324,11 +341,13 @@ class PhaseDrawing:
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._shown: Task | None = None
-        self._line = add_lines(server, "/phase/path", PATH_PIECES, 0.6 * link_radius(arm), visible=False)
+        self._line = add_lines(
+            server, "/phase/path", PHASE.path_pieces, 0.6 * link_radius(arm), visible=False
+        )
         self._goal = server.scene.add_icosphere(
             "/phase/goal",
-            GOAL_RADIUS * link_radius(arm),
-            color(GOAL_COLOR),
+            PHASE.goal_radius * link_radius(arm),
+            color(PHASE.goal_color),
             subdivisions=2,
             cast_shadow=False,
             visible=False,
@@ -348,9 +367,9 @@ class PhaseDrawing:
         put(self._goal, visible=goal is not None)
         put(self._label, visible=path is not None or goal is not None)
         if path is not None:
-            places = np.asarray(path.at(np.linspace(0.0, path.length, PATH_PIECES + 1)))
+            places = np.asarray(path.at(np.linspace(0.0, path.length, PHASE.path_pieces + 1)))
             self._line.points = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
-            self._line.colors = np.full((PATH_PIECES, 2, 3), color(PATH_COLOR), dtype=np.uint8)
+            self._line.colors = np.full((PHASE.path_pieces, 2, 3), color(PHASE.path_color), dtype=np.uint8)
             put(self._label, text="path of the tip")
             put_at(self._label, places[-1])
         elif goal is not None:

@@ -19,7 +19,7 @@ from viser import uplot
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.editor import edits
-from pinposture.editor.edits import TIME_DIGITS, TIME_TOLERANCE, Pass, keyframes_of, passes_of, times_of
+from pinposture.editor.edits import TIMES, Pass, keyframes_of, passes_of, times_of
 from pinposture.editor.phases import EditedPhase
 from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
@@ -36,36 +36,103 @@ from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
-LIVE_SPAN = 10.0  # of the trace of the live arm [s]
-MAX_GAP = 1.0  # in the trace of the live arm, after which it starts anew [s]
-MAX_ROWS = 600  # of a trace; of more, the largest of neighbours stand for them
+
+class TraceSettings(NamedTuple):
+    """What the plots of the panel show, and how often they are sent."""
+
+    live_span: float = 10.0
+    """Span of the trace of the live arm [s]."""
+
+    largest_gap: float = 1.0
+    """Gap in the trace of the live arm after which it starts anew [s]."""
+
+    most_rows: int = 600
+    """Most rows of a trace; of more, the largest of neighbours stand for them."""
+
+    motion_period: float = 0.1
+    """Time between two plots of a motion [s]."""
+
+    live_period: float = 0.3
+    """Time between two plots of the live arm [s]."""
+
+    settling_period: float = 3.0
+    """Time until a plot is sent again after a browser connects [s]; then twice that, and so on."""
+
+    settling_plots: int = 4
+    """Number of these: a slow browser knows the width of its plots late, and leaves them empty."""
+
+    axis_jitter: float = 5e-4
+    """Relative change of the time axis from plot to plot."""
+
+    height: int = 90
+    """Height of a plot [pixels]."""
+
+    legend_height: int = 30
+    """Height of its legend of two lines [pixels]."""
+
+    least_error: float = 1e-5
+    """Smallest error that is shown, in arm lengths."""
+
+    most_share: float = 1.2
+    """Largest share of limits that is shown."""
+
+    outside: float = 1e3
+    """Value of lines outside of the picture."""
+
+    speed_color: str = THEME.spare[2]
+    """Colour of speeds."""
+
+    acceleration_color: str = THEME.spare[0]
+    """Colour of accelerations."""
+
+
+TRACE = TraceSettings()
+
 MILLI = 1e3
-MOTION_PERIOD = 0.1  # between two plots of a motion [s]
-LIVE_PERIOD = 0.3  # between two plots of the live arm [s]
-SETTLING_PERIOD = 3.0  # until a plot is sent again after a browser connects [s]; then twice that, and so on
-SETTLING_PLOTS = 4  # number of these: a slow browser knows the width of its plots late, and leaves them empty
-AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
-PLOT_HEIGHT = 90  # [pixels]
-LEGEND_HEIGHT = 30  # of two lines [pixels]
-SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
-MAX_SHARE = 1.2  # of limits that is shown
-OUTSIDE = 1e3  # value of lines outside of the picture
-SPEED_COLOR = THEME.spare[2]
-ACCELERATION_COLOR = THEME.spare[0]
 NO_TIMES = np.zeros(0)
 
-PANEL_WIDTH = 440  # [pixels]
-PANEL_HEIGHT = 274  # [pixels]
-PANEL_GAP = 8  # from the edges of the picture [pixels]
-LOW_PAGE = 700  # page height up to which the panel has no plot [pixels]
-LOW_PANEL_HEIGHT = 150  # of the panel without a plot [pixels]
-ROOM_BEHIND = 0.15  # the end of the motion, on the timeline, relative to its duration
-MIN_LENGTH = 1.0  # of the timeline [s]
-TICKS = 7  # about how many times are written at the timeline
-DRAG_STEPS = 100  # about how many times can be dragged to
-MAX_NUMBERED = 24  # keyframes with numbers at the timeline
-MAX_DRAWN = 300  # keyframes at the timeline, of all laps
-LATER_LAP_OPACITY = 0.6  # of keyframes in laps after the first
+
+class TimelineLayout(NamedTuple):
+    """Sizes of the panel and of its timeline."""
+
+    width: int = 440
+    """Width of the panel [pixels]."""
+
+    height: int = 274
+    """Height of the panel [pixels]."""
+
+    gap: int = 8
+    """Distance of the panel from the edges of the picture [pixels]."""
+
+    low_page: int = 700
+    """Height of the page up to which the panel has no plot [pixels]."""
+
+    low_height: int = 150
+    """Height of the panel without a plot [pixels]."""
+
+    room_behind: float = 0.15
+    """Room behind the end of the motion, relative to its duration."""
+
+    least_length: float = 1.0
+    """Smallest length of the timeline [s]."""
+
+    ticks: int = 7
+    """About how many times are written."""
+
+    drag_steps: int = 100
+    """About how many times can be dragged to."""
+
+    most_numbered: int = 24
+    """Most keyframes that have numbers."""
+
+    most_drawn: int = 300
+    """Most keyframes that are drawn, of all laps."""
+
+    later_opacity: float = 0.6
+    """Opacity of keyframes in laps after the first."""
+
+
+TIMELINE = TimelineLayout()
 
 
 class Trace(NamedTuple):
@@ -116,9 +183,9 @@ class Recent:
         """Add the arm at this moment, and its speed relative to the limits."""
         now = self._clock()
         last = self._last
-        if self._rows and self._rows[-1][0] < now - MAX_GAP:
+        if self._rows and self._rows[-1][0] < now - TRACE.largest_gap:
             self._rows.clear()
-        while len(self._rows) > 1 and self._rows[1][0] < now - LIVE_SPAN:
+        while len(self._rows) > 1 and self._rows[1][0] < now - TRACE.live_span:
             self._rows.popleft()
         if last is not None and live.steps == last.steps:
             return
@@ -143,9 +210,9 @@ class Recent:
         now = self._clock()
         rows = np.array(self._rows or [(now, 0.0, 0.0, 0.0)])
         rows = np.concatenate([rows[:1], rows, rows[-1:]])
-        times = np.clip(rows[:, 0] - now, -LIVE_SPAN, 0.0)
+        times = np.clip(rows[:, 0] - now, -TRACE.live_span, 0.0)
         # to the last bit: the axis stays as it is
-        times[0] = -LIVE_SPAN
+        times[0] = -TRACE.live_span
         times[-1] = 0.0
         return _thinned(Trace(times, rows[:, 1], rows[:, 2], rows[:, 3], None))
 
@@ -167,9 +234,9 @@ def with_lines(
 
 def _thinned(trace: Trace) -> Trace:
     count = len(trace.time)
-    if count <= MAX_ROWS:
+    if count <= TRACE.most_rows:
         return trace
-    edges = np.unique(np.linspace(0, count, MAX_ROWS, endpoint=False).astype(np.intp))
+    edges = np.unique(np.linspace(0, count, TRACE.most_rows, endpoint=False).astype(np.intp))
     times = np.array(trace.time[edges])
     times[-1] = trace.time[-1]
     mean = np.maximum.reduceat(trace.mean, edges)
@@ -197,7 +264,7 @@ class Plots:
         self._clients: tuple[int, ...] = ()
         self._connected = 0.0  # when a browser came or left last
         self._shown: tuple[object, object] = None, None
-        self._low = float(10.0 ** np.floor(np.log10(SMALLEST_PLOTTED * length * MILLI)))
+        self._low = float(10.0 ** np.floor(np.log10(TRACE.least_error * length * MILLI)))
         high = float(10.0 ** np.ceil(np.log10(length * MILLI)))
         with tab:
             self._legend = server.gui.add_html("", order=3.0)
@@ -207,11 +274,11 @@ class Plots:
                 scales={
                     "x": {"time": False},
                     "mm": {"distr": 3, "range": (self._low, high)},
-                    "share": {"range": (0.0, MAX_SHARE)},
+                    "share": {"range": (0.0, TRACE.most_share)},
                 },
                 axes=_axes(),
                 legend={"show": False},
-                height=PLOT_HEIGHT,
+                height=TRACE.height,
                 padding=(8, 0, 0, 0),
                 order=4.0,
             )
@@ -230,13 +297,16 @@ class Plots:
             self._clients = clients
             self._connected = now
         since = now - self._connected
-        settled = self._connected, min(int(np.log2(1.0 + since / SETTLING_PERIOD)), SETTLING_PLOTS)
+        settled = (
+            self._connected,
+            min(int(np.log2(1.0 + since / TRACE.settling_period)), TRACE.settling_plots),
+        )
         lately = now if self._recent.changing else settled
         key = (None, lately) if motion is None else (motion, playback.time)
         if key == self._shown:
             return
         self._shown = key
-        self._due = now + (LIVE_PERIOD if motion is None else MOTION_PERIOD)
+        self._due = now + (TRACE.live_period if motion is None else TRACE.motion_period)
         color = palette.controller_color(session.task.controller.name)
         if color != self._color:
             self._color = color
@@ -246,7 +316,7 @@ class Plots:
         at = NO_TIMES
         # An axis that a browser drew before it knew its width gets its numbers only when it changes.
         self._jitter = not self._jitter
-        trace.time[0] *= 1.0 + AXIS_JITTER * self._jitter
+        trace.time[0] *= 1.0 + TRACE.axis_jitter * self._jitter
         if motion is not None:
             if self._known is None or self._known[0] is not motion:
                 rows = sorted({passed.row for passed in motion.waypoints if passed.row is not None})
@@ -258,29 +328,29 @@ class Plots:
 
     def _data(self, trace: Trace, marks: Array, at: Array) -> tuple[Array, ...]:
         """Return the columns of the plot, in the order of its lines."""
-        absent = np.full(len(trace.time), -OUTSIDE)
+        absent = np.full(len(trace.time), -TRACE.outside)
         errors = [np.clip(MILLI * values, self._low, None) for values in (trace.largest, trace.mean)]
         rates = [absent if values is None else values for values in (trace.acceleration, trace.speed)]
         columns = [*errors, *rates, np.ones(len(trace.time))]
-        return with_lines(trace.time, columns, (marks, at), -OUTSIDE, OUTSIDE)
+        return with_lines(trace.time, columns, (marks, at), -TRACE.outside, TRACE.outside)
 
     def _show_legend(self, trace: Trace, moment: float | None) -> None:
         """Show what the lines are, and their values at a moment [s]; None: now."""
         mean, largest, speed, acceleration = trace.at(0.0 if moment is None else moment)
-        when = f"last {LIVE_SPAN:g} s" if moment is None else f"{moment:.2f} s"
+        when = f"last {TRACE.live_span:g} s" if moment is None else f"{moment:.2f} s"
         entries = [
             (self._color, f"mean error {length_text(mean, self._length)}"),
             (self._plot.series[1]["stroke"], f"largest {length_text(largest, self._length)}"),
         ]
         if speed is not None:
-            entries.append((SPEED_COLOR, f"speed {100.0 * speed:.0f} %"))
+            entries.append((TRACE.speed_color, f"speed {100.0 * speed:.0f} %"))
         if acceleration is not None:
-            entries.append((ACCELERATION_COLOR, f"acceleration {100.0 * acceleration:.0f} %"))
+            entries.append((TRACE.acceleration_color, f"acceleration {100.0 * acceleration:.0f} %"))
         apart = 'style="margin-right:9px"'
         words = f"<span {apart}>{when}</span>"
         for color, text in entries:
             words += f'<span {apart}><span style="{STYLES["swatch"]};background:{color}"></span>{text}</span>'
-        style = f"font-size:11px;line-height:1.2;padding:2px 10px;height:{LEGEND_HEIGHT}px"
+        style = f"font-size:11px;line-height:1.2;padding:2px 10px;height:{TRACE.legend_height}px"
         style += ";display:flex;flex-wrap:wrap;align-content:flex-start"
         put(self._legend, content=f'<div id="legend" style="{style}">{words}</div>')
 
@@ -293,8 +363,8 @@ def _lines(color: str) -> tuple[uplot.Series, ...]:
         {"label": "time"},
         line("largest error", "mm", palette.mixed(color, THEME.target, 0.4), 1.2),
         line("mean error", "mm", color, 2.0),
-        line("acceleration", "share", ACCELERATION_COLOR, 1.0),
-        line("speed", "share", SPEED_COLOR, 1.6),
+        line("acceleration", "share", TRACE.acceleration_color, 1.0),
+        line("speed", "share", TRACE.speed_color, 1.6),
         {**line("limit", "share", THEME.ink, 1.0), "dash": (4, 2)},
         line("keyframes", "share", THEME.rest, 0.8),
         line("shown", "share", THEME.mark, 1.2),
@@ -352,7 +422,9 @@ the page no more.
 
 HIDDEN = f"""<style>
 div:has(> #timeline) + div {{display: none}}
-@media (max-height: {LOW_PAGE}px) {{ div:has(> #legend), div:has(> #legend) + div {{display: none}} }}
+@media (max-height: {TIMELINE.low_page}px) {{
+  div:has(> #legend), div:has(> #legend) + div {{display: none}}
+}}
 </style>"""
 """Hides the field that requests are written into, and the plot in a low page."""
 
@@ -395,9 +467,9 @@ class TimeAxis:
         if self._known is None or self._known[0] is not task or self._known[1] is not playback.motion:
             self._known = task, playback.motion
             duration, self._passes = _schedule(task, playback)
-            self._length = max((1.0 + ROOM_BEHIND) * duration, MIN_LENGTH)
+            self._length = max((1.0 + TIMELINE.room_behind) * duration, TIMELINE.least_length)
         planned = times_of(task)
-        step = round_number(self._length / TICKS)
+        step = round_number(self._length / TIMELINE.ticks)
         drawn = [self._at("line", 0.0, "")]
         drawn += [self._at("tick", at, f"{at:g} s") for at in np.arange(0.0, self._length, step)]
         for number, ((index, lap, at), reached) in enumerate(self._passes):
@@ -409,8 +481,8 @@ class TimeAxis:
             words = f"lap {lap + 1}:  " * (task.repeat > 1) + row_label(keyframes, planned, index, mark)
             words += "" if reached else "  ·  not reached"
             about = f'data-keyframe="{number}" title="{escape(words)}"'
-            label = str(index + 1) if len(self._passes) <= MAX_NUMBERED else "&nbsp;"
-            shade += f";z-index:{1 + selected};opacity:{LATER_LAP_OPACITY if lap else 1}"
+            label = str(index + 1) if len(self._passes) <= TIMELINE.most_numbered else "&nbsp;"
+            shade += f";z-index:{1 + selected};opacity:{TIMELINE.later_opacity if lap else 1}"
             if not reached:
                 shade += f";{STYLES['not reached']}"
             drawn.append(self._at("keyframe", at, label, shade, about))
@@ -438,7 +510,7 @@ class TimeAxis:
     def _act(self, what: str, index: int, share: float, session: Session) -> None:
         self._gestures += 1
         at = share * self._length
-        step = round_number(self._length / DRAG_STEPS)
+        step = round_number(self._length / TIMELINE.drag_steps)
         if what == "seek":
             seek(at, session)
         elif 0 <= index < len(self._passes):
@@ -451,7 +523,7 @@ class TimeAxis:
 
 def covered_height(picture: float) -> float:
     """Return how much of a picture the panel covers at its bottom, by the height of the picture [pixels]."""
-    return PANEL_GAP + (LOW_PANEL_HEIGHT if picture <= LOW_PAGE else PANEL_HEIGHT)
+    return TIMELINE.gap + (TIMELINE.low_height if picture <= TIMELINE.low_page else TIMELINE.height)
 
 
 class Player:
@@ -465,7 +537,7 @@ class Player:
             self._buttons = server.gui.add_button_group("Motion", _labels(Playback()), hint=hint, order=0.0)
             self._timeline = TimeAxis(server, post)
         self._plots = Plots(server, tab, arm.length)
-        panel.float(x=PANEL_GAP, y=-PANEL_GAP, width=PANEL_WIDTH)
+        panel.float(x=TIMELINE.gap, y=-TIMELINE.gap, width=TIMELINE.width)
         # The button in the middle shows the speed.
         on_choice(self._buttons, lambda label: post(BUTTONS.get(label, at_usual_speed)))
 
@@ -505,7 +577,7 @@ def drag_keyframe(index: int, by: float, step: float, session: Session) -> None:
         step: of the time to which it is moved [s].
         session: the session.
     """
-    time = round(step * round((times_of(session.task)[index] + by) / step), TIME_DIGITS)
+    time = round(step * round((times_of(session.task)[index] + by) / step), TIMES.digits)
     to = edits.place_at(session.task, index, time)
     if session.edit(edits.dragged(index, time), f"moved keyframe {index + 1} in time", select=to):
         session.say(f"keyframe {to + 1} is now at {times_of(session.task)[to]:g} s")
@@ -557,13 +629,13 @@ class DrawnPass(NamedTuple):
 def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     """Return duration [s] and keyframes of the motion that is shown, or else as planned.
 
-    Keyframes after the first `MAX_DRAWN` are left out.
+    Keyframes after the first `TIMELINE.most_drawn` are left out.
     """
     motion = playback.motion
     passes = passes_of(task)
     if motion is None:
         duration = passes[-1].time + keyframes_of(task)[-1].hold
-        return duration, [DrawnPass(each, True) for each in passes[:MAX_DRAWN]]
+        return duration, [DrawnPass(each, True) for each in passes[: TIMELINE.most_drawn]]
     places = list(motion.waypoints)
     begins = 0.0
     if isinstance(task, EditedPhase):
@@ -573,7 +645,7 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
         _where_reached(motion, each, place, begins)
         for each, place in zip_longest(passes, places[: len(passes)])
     ]
-    return max(playback.lasting, *(each.place.time for each in drawn)), drawn[:MAX_DRAWN]
+    return max(playback.lasting, *(each.place.time for each in drawn)), drawn[: TIMELINE.most_drawn]
 
 
 def _where_reached(motion: Trajectory, each: Pass, place: WaypointResult | None, begins: float) -> DrawnPass:
@@ -594,10 +666,10 @@ def _where_reached(motion: Trajectory, each: Pass, place: WaypointResult | None,
 
 def _places_of_phase(task: EditedPhase, motion: Trajectory) -> list[WaypointResult]:
     """Return the places of the keyframes of a phase in the motion of all phases."""
-    least = task.begins + TIME_TOLERANCE * (-1.0 if task.begin is None else 1.0)
+    least = task.begins + TIMES.tolerance * (-1.0 if task.begin is None else 1.0)
     places = [place for place in motion.waypoints if place.planned > least]
     if task.end is not None:  # its last posture: of several on its way, the last one
-        places = [place for place in places if place.planned <= task.ends + TIME_TOLERANCE][-1:]
+        places = [place for place in places if place.planned <= task.ends + TIMES.tolerance][-1:]
     if task.begin is not None:
         row = int(np.searchsorted(motion.plan_time, task.begins))
         begin = WaypointResult("", task.begins, None, row if row <= motion.steps else None, None)

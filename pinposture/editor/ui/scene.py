@@ -48,9 +48,22 @@ from pinposture.viz.body import surface
 from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
 from pinposture.viz.palette import THEME
 
-SCAN_POINT_SIZE = 0.003  # of a scan, relative to the arm
-SCAN_COLOR = palette.mixed(THEME.obstacle, "#FFFFFF", 0.35)  # of a scan without colours of its own
-SCAN_OPACITY = 0.6  # of such a surface, which may stand in front of the arm
+
+class ScanLook(NamedTuple):
+    """How scans are drawn."""
+
+    point_size: float = 0.003
+    """Size of points, relative to the arm."""
+
+    color: str = palette.mixed(THEME.obstacle, "#FFFFFF", 0.35)
+    """Colour of a scan without colours of its own."""
+
+    opacity: float = 0.6
+    """Opacity of a surface, which may stand in front of the arm."""
+
+
+SCAN = ScanLook()
+
 LOAD_KINDS = ("scan", "obstacle")
 EXPLANATION = (
     "A **scan** (a mesh or points) is shown with its clearance, but the arm does **not** avoid it. "
@@ -64,7 +77,7 @@ class Scans:
     def __init__(self, server: viser.ViserServer, arm: Arm, shelf: ScanShelf) -> None:
         self._server = server
         self._shelf = shelf
-        self._size = SCAN_POINT_SIZE * arm.length
+        self._size = SCAN.point_size * arm.length
         self._drawn: dict[Path, tuple[Scan, viser.MeshHandle | viser.PointCloudHandle | Any]] = {}
         self._made = 0
 
@@ -82,7 +95,7 @@ class Scans:
         name = f"/scans/{self._made}"
         scene = self._server.scene
         if scan.faces is None:
-            colors: Any = color(SCAN_COLOR) if scan.colors is None else scan.colors
+            colors: Any = color(SCAN.color) if scan.colors is None else scan.colors
             return scene.add_point_cloud(
                 name,
                 scan.points.astype(np.float32),
@@ -96,8 +109,8 @@ class Scans:
                 name,
                 scan.points,
                 scan.faces,
-                color=color(SCAN_COLOR),
-                opacity=SCAN_OPACITY,
+                color=color(SCAN.color),
+                opacity=SCAN.opacity,
                 side="double",
                 cast_shadow=False,
             )
@@ -174,15 +187,38 @@ class ScanControls:
 
 Array = NDArray[np.float64]
 
-HANDLE_RADIUS = 2.0  # relative to that of the bars of the arm
-MIN_AXES_SIZE = 0.16  # of the axes that move and turn the selected obstacle, relative to the arm
-AXES_REACH = 1.5  # of these axes, relative to the obstacle
-HALF_SPACE_WIDTH = 1.6  # of the plate drawn for a half-space, relative to the arm
-HALF_SPACE_THICKNESS = 0.01  # of that plate, relative to the arm
-SELECTED_COLOR = palette.mixed(THEME.obstacle, THEME.start, 0.55)
-HANDLE_COLOR = THEME.spare[1]  # differs from that of the control points of the curve
+
+class ObstacleLook(NamedTuple):
+    """How obstacles and their handles are drawn; sizes are relative to the arm."""
+
+    handle_radius: float = 2.0
+    """Radius of a handle, relative to that of the bars of the arm."""
+
+    least_axes: float = 0.16
+    """Smallest size of the axes that move and turn the selected obstacle."""
+
+    axes_reach: float = 1.5
+    """Size of these axes, relative to the obstacle."""
+
+    plate_width: float = 1.6
+    """Width of the plate drawn for a half-space."""
+
+    plate_thickness: float = 0.01
+    """Thickness of that plate."""
+
+    selected_color: str = palette.mixed(THEME.obstacle, THEME.start, 0.55)
+    """Colour of the selected obstacle."""
+
+    handle_color: str = THEME.spare[1]
+    """Colour of handles; differs from that of the control points of the curve."""
+
+    longest_line: float = 0.5
+    """Length of the line that shows the clearance, at most."""
+
+
+OBSTACLES = ObstacleLook()
+
 CLEARANCE_COLORS = {"inside": THEME.mark, "within the margin": THEME.active, "clear": THEME.regular}
-MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the arm
 
 VECTOR_LABELS = {
     "center": ("Centre [mm]", "World frame"),
@@ -209,9 +245,20 @@ def number_labels() -> dict[str, str]:
     return labels
 
 
-NORMAL_DIGITS = 4  # of shown directions
-ANGLE_DIGITS = 2  # of shown angles [deg]
-FINER_DIGITS = 3  # more of radii and margins than of coordinates: they are small
+class FieldDigits(NamedTuple):
+    """Digits behind the point in fields of obstacles."""
+
+    direction: int = 4
+    """Digits of directions."""
+
+    angle: int = 2
+    """Digits of angles [deg]."""
+
+    finer: int = 3
+    """How many more radii and margins have than coordinates: they are small."""
+
+
+DIGITS = FieldDigits()
 
 
 class DrawnObstacle(NamedTuple):
@@ -236,14 +283,14 @@ class Obstacles:
         self._drawn: dict[str, DrawnObstacle] = {}
         self._made = 0
         self._name = ""  # of the obstacle with axes and handles
-        self._axes = add_axes(server, "/obstacle_axes", MIN_AXES_SIZE * arm.length, rotations=True)
+        self._axes = add_axes(server, "/obstacle_axes", OBSTACLES.least_axes * arm.length, rotations=True)
         self._axes_drag = Drag(post, self._axes, self._move_by_axes)
         self._balls: list[viser.IcosphereHandle] = []
         for index in range(3):
             ball = server.scene.add_icosphere(
                 f"/obstacle_handles/{index}",
-                HANDLE_RADIUS * link_radius(arm),
-                color(HANDLE_COLOR),
+                OBSTACLES.handle_radius * link_radius(arm),
+                color(OBSTACLES.handle_color),
                 subdivisions=2,
                 cast_shadow=False,
                 visible=False,
@@ -288,7 +335,7 @@ class Obstacles:
             handle.position = pose.translation
             handle.wxyz = quaternions(pose.rotation)
             drawn = self._drawn[name] = DrawnObstacle(handle, obstacle, look)
-        shade = color(SELECTED_COLOR if selected else THEME.obstacle)
+        shade = color(OBSTACLES.selected_color if selected else THEME.obstacle)
         if tuple(drawn.handle.color) != shade:
             drawn.handle.color = shade
         put(drawn.handle, opacity=opacity)
@@ -315,8 +362,8 @@ class Obstacles:
         """Return the surface of an obstacle in its own frame; of a half-space, a plate."""
         if obstacle.bounded:
             return surface(obstacle)
-        width = HALF_SPACE_WIDTH * self._arm.length
-        thick = HALF_SPACE_THICKNESS * self._arm.length
+        width = OBSTACLES.plate_width * self._arm.length
+        thick = OBSTACLES.plate_thickness * self._arm.length
         return surface(Box((0.0, 0.0, -0.5 * thick), (width, width, thick)))
 
     def _show_axes(self, name: str, obstacle: Obstacle | None) -> None:
@@ -329,7 +376,7 @@ class Obstacles:
                 axes.wxyz = quaternions(pose.rotation)
             length = self._arm.length
             radius = obstacles.bounding_radius(obstacle, self._scale)
-            scale = max(MIN_AXES_SIZE * length, AXES_REACH * min(radius, 0.4 * length))
+            scale = max(OBSTACLES.least_axes * length, OBSTACLES.axes_reach * min(radius, 0.4 * length))
             if abs(axes.scale - scale) > 1e-9:
                 axes.scale = scale
             put(axes, disable_rotations=obstacle.symmetry == "ball")
@@ -374,7 +421,7 @@ class ClearanceLine:
     """A line from the arm to what it is nearest to."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
-        self._max_length = MAX_LINE_LENGTH * arm.length
+        self._max_length = OBSTACLES.longest_line * arm.length
         radius = link_radius(arm)
         self._line = add_lines(server, "/clearance/line", 1, 0.6 * radius, visible=False)
         self._ends = [
@@ -428,7 +475,7 @@ class SceneTab:
         bind = partial(Bound, post)
         digits = coordinate_digits(arm.length)
         step = 10.0**-digits
-        finer = digits + FINER_DIGITS
+        finer = digits + DIGITS.finer
         self._points = np.zeros((0, 3))
         self._name = ""
         self._about = gui.add_html("")
@@ -449,7 +496,7 @@ class SceneTab:
         for key, (label, hint) in VECTOR_LABELS.items():
             by = {"rotation": 1.0, "normal": 0.005}.get(key, step)
             field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=by, hint=hint, visible=False)
-            field.precision = {"rotation": ANGLE_DIGITS, "normal": NORMAL_DIGITS}.get(key, digits)
+            field.precision = {"rotation": DIGITS.angle, "normal": DIGITS.direction}.get(key, digits)
             fields[key] = field, VECTOR_UNITS.get(key, MILLIMETRE)
         for key, label in number_labels().items():
             number = gui.add_number(label, 0.0, min=0.0, step=step, visible=False)

@@ -16,7 +16,7 @@ from editor.browser.window import Window
 
 import pinposture as pp
 from pinposture.editor import Editor
-from pinposture.editor.ui.curve import AXES_SIZE
+from pinposture.editor.ui.curve import CURVE
 
 pytestmark = pytest.mark.browser
 
@@ -36,7 +36,7 @@ def test_the_tip_is_dragged_up(edit: Edit, look: Look, file: Path) -> None:
     wait_until(lambda: session.tip, "the tip is held")
     box = window.page.get_by_label("Drag the tip")
     wait_until(box.is_checked, "the box shows it")
-    grip = tip + [0.0, 0.0, 0.7 * AXES_SIZE * session.arm.length]
+    grip = tip + [0.0, 0.0, 0.7 * CURVE.axes_size * session.arm.length]
     up = np.array([0.0, 0.0, 0.05 * session.arm.length])
     mouse = window.page.mouse
 
