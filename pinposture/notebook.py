@@ -120,9 +120,9 @@ def show_figure(figure: Figure) -> str:
 
 def show_curve(curve: Curve) -> str:
     """Return a curve as HTML: its size, and where it begins and ends."""
-    from pinposture.viz.drawing import CURVE_SAMPLES
+    from pinposture.viz.drawing import DRAWING
 
-    along = curve.at(np.linspace(0.0, curve.length, CURVE_SAMPLES))
+    along = curve.at(np.linspace(0.0, curve.length, DRAWING.curve_samples))
     rows = [
         ("length", length_text(curve.length)),
         ("from, to", f"{_point(along[0])}, {_point(along[-1])}"),

@@ -274,7 +274,7 @@ def _share_values(panels: list[Axes], floor: float) -> None:
     if not len(positive):
         return
     top = float(positive.max())
-    least = max(float(positive.min()), top * 10.0**-palette.MAX_DECADES)
+    least = max(float(positive.min()), top * 10.0**-palette.FIGURE.most_decades)
     logarithmic = any(panel.get_yscale() == "log" for panel in panels)
     limits = [panel.get_ylim() for panel in panels if not logarithmic or panel.get_yscale() == "log"]
     low = min(each[0] for each in limits)
@@ -283,7 +283,7 @@ def _share_values(panels: list[Axes], floor: float) -> None:
         if logarithmic:
             panel.set_yscale("log", nonpositive="clip")
             panel.yaxis.set_minor_formatter(NullFormatter())
-            panel.set_ylim(min(low, least / 1.8), max(high, top * (top / least) ** palette.HEADROOM))
+            panel.set_ylim(min(low, least / 1.8), max(high, top * (top / least) ** palette.FIGURE.headroom))
         else:
             panel.set_ylim(low, high)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -31,10 +31,24 @@ from pinposture.viz.postures import (
 
 Array = NDArray[np.float64]
 
-TEXT_HEIGHT = 1.9  # height of title, scales and legend [inch]
-HEIGHT_RANGE = (3.6, 8.0)  # height of the figure [inch]; the minimum suffices for a straight arm
-SIDE_ROOM = 0.015  # room beside scales and their labels, relative to the width of the figure
-MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer to each other are left out
+
+class ArmFigureLayout(NamedTuple):
+    """Sizes of the figure of an arm."""
+
+    text_height: float = 1.9
+    """Height of title, scales and legend [inch]."""
+
+    heights: tuple[float, float] = (3.6, 8.0)
+    """Smallest and largest height of the figure [inch]; the smallest suffices for a straight arm."""
+
+    side_room: float = 0.015
+    """Room beside scales and their labels, relative to the width of the figure."""
+
+    number_distance: float = 0.017
+    """Distance of numbers below which they are left out, relative to the size of the arm."""
+
+
+ARM_FIGURE = ArmFigureLayout()
 
 
 LOADS = (
@@ -82,7 +96,7 @@ def plot_arm(
     # Half the length of the bars: short compared to the links, but visible compared to the arm.
     half = float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
     planar = arm.dimension == 2
-    figure = Figure(figsize=(palette.FIGURE_WIDTH, HEIGHT_RANGE[0]))
+    figure = Figure(figsize=(palette.FIGURE.width, ARM_FIGURE.heights[0]))
     # The arm is drawn on top of its surroundings, also in space.
     ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
     panel = PosturePanel(arm, ax)
@@ -117,15 +131,16 @@ def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
     if not panel.spatial:
         wide, high = np.ptp(panel.drawn @ panel.screen.T, axis=0)
         slope = high / max(wide, 1e-9 * panel.arm.length)
-        figure.set_figheight(float(np.clip(TEXT_HEIGHT + palette.FIGURE_WIDTH * slope, *HEIGHT_RANGE)))
+        height = ARM_FIGURE.text_height + palette.FIGURE.width * slope
+        figure.set_figheight(float(np.clip(height, *ARM_FIGURE.heights)))
         figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
         return
     # 3D axes are square: for a wide picture, they extend beyond the figure at the top and bottom.
     high = float(box_extent(panel.ax)[1])
-    height = float(np.clip(TEXT_HEIGHT + palette.FIGURE_WIDTH * high, *HEIGHT_RANGE))
-    side = min(palette.FIGURE_WIDTH, (height - TEXT_HEIGHT) / high)
+    height = float(np.clip(ARM_FIGURE.text_height + palette.FIGURE.width * high, *ARM_FIGURE.heights))
+    side = min(palette.FIGURE.width, (height - ARM_FIGURE.text_height) / high)
     figure.set_figheight(height)
-    width = side / palette.FIGURE_WIDTH
+    width = side / palette.FIGURE.width
     panel.ax.set_position((0.5 - width / 2, 0.5 - side / height / 2, width, side / height))
     # The scales and their labels may be wider than the axes, on one side only.
     figure.draw_without_rendering()
@@ -134,7 +149,7 @@ def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
     drawn = Bbox.union([axis.get_tightbbox(renderer) for axis in (ax.xaxis, ax.yaxis, ax.zaxis)])
     left = drawn.x0 / figure.bbox.width
     right = drawn.x1 / figure.bbox.width
-    scale = min(1.0, (1.0 - 2.0 * SIDE_ROOM) / (right - left))
+    scale = min(1.0, (1.0 - 2.0 * ARM_FIGURE.side_room) / (right - left))
     middle = 0.5 - scale * ((left + right) / 2.0 - 0.5)
     width = scale * width
     high = scale * side / height
@@ -222,7 +237,7 @@ def _number_points(panel: PosturePanel, points: Array, base: Array, offset: floa
     written: list[Array] = []
     for k in (len(points), *range(1, len(points))):
         place = flat[k] + offset * beside[k]
-        if any(np.linalg.norm(place - other) < MIN_NUMBER_DISTANCE * size for other in written):
+        if any(np.linalg.norm(place - other) < ARM_FIGURE.number_distance * size for other in written):
             continue
         written.append(place)
         (where,) = np.transpose(panel.coordinates(points[k - 1 : k] + offset * beside[k] @ screen))

@@ -121,7 +121,31 @@ def backbone(arm: Arm, q: ArrayLike) -> Array:
 
 # Visual meshes. A body whose mesh is missing or unreadable is drawn as bars.
 
-MAX_TRIANGLES = 200_000  # for all meshes together, so that a browser renders them smoothly
+
+class MeshFineness(NamedTuple):
+    """How finely bodies and obstacles are drawn."""
+
+    sides: int = 16
+    """Number of sides of the polygon that approximates the section of a tube or disc."""
+
+    obstacle_sides: int = 48
+    """Number of sides of the polygon that approximates the section of an obstacle."""
+
+    triangles: int = 200_000
+    """Most triangles of all meshes together, so that a browser renders them smoothly."""
+
+    points: int = 20_000
+    """Most points drawn of a mesh or scan."""
+
+    dot_size: float = 2e-3
+    """Smallest radius of a point of a cloud, relative to the width of the cloud."""
+
+    flat: float = 1e-7
+    """Relative thickness below which a solid counts as flat."""
+
+
+FINENESS = MeshFineness()
+
 _MAX_LISTED = 12  # maximum number of files named in a warning
 
 
@@ -132,7 +156,7 @@ class BodyMeshes(NamedTuple):
     bodies: tuple[TriangleMesh | None, ...]
 
 
-def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
+def body_meshes(arm: Arm, max_triangles: int = FINENESS.triangles) -> BodyMeshes:
     """Read the visual meshes of an arm, merged into one surface per body.
 
     If there are too many triangles in total, the bodies with the most triangles are simplified. One
@@ -231,9 +255,6 @@ def _simplify(mesh: TriangleMesh, limit: int) -> TriangleMesh | None:
     return None
 
 
-SIDES = 16  # number of sides of the polygon that approximates the section of a tube or disc
-
-
 class TriangleMesh(NamedTuple):
     """A triangulated surface.
 
@@ -276,7 +297,8 @@ def tube(path: Array, radius: float) -> TriangleMesh:
     inner = np.where(lengths > 1e-9, inner / np.maximum(lengths, 1e-9), legs[:-1])
     tangents = np.vstack([legs[:1], inner, legs[-1:]])
     side = _perpendicular(tangents[0])
-    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    sides = FINENESS.sides
+    around = 2.0 * np.pi * np.arange(sides) / sides
     rings = []
     for point, tangent in zip(path, tangents, strict=True):
         # Parallel transport along the path, so that the tube does not twist.
@@ -285,10 +307,10 @@ def tube(path: Array, radius: float) -> TriangleMesh:
         side = side / length if length > 1e-6 else _perpendicular(tangent)
         other = np.cross(tangent, side)
         rings.append(point + radius * (np.outer(np.cos(around), side) + np.outer(np.sin(around), other)))
-    ring, corner = np.meshgrid(np.arange(len(path) - 1), np.arange(SIDES), indexing="ij")
-    a = (ring * SIDES + corner).ravel()
-    b = (ring * SIDES + (corner + 1) % SIDES).ravel()
-    faces = np.vstack([np.stack([b, a + SIDES, a], 1), np.stack([b + SIDES, a + SIDES, b], 1)])
+    ring, corner = np.meshgrid(np.arange(len(path) - 1), np.arange(sides), indexing="ij")
+    a = (ring * sides + corner).ravel()
+    b = (ring * sides + (corner + 1) % sides).ravel()
+    faces = np.vstack([np.stack([b, a + sides, a], 1), np.stack([b + sides, a + sides, b], 1)])
     return TriangleMesh(np.vstack(rings), faces)
 
 
@@ -297,16 +319,13 @@ def disc(center: Array, axis: Array, radius: float, thickness: float) -> Triangl
     from trimesh.creation import cylinder
 
     half = axis * thickness / 2.0
-    plate = cylinder(radius, segment=[center - half, center + half], sections=SIDES)
+    plate = cylinder(radius, segment=[center - half, center + half], sections=FINENESS.sides)
     return TriangleMesh(np.asarray(plate.vertices), np.asarray(plate.faces, dtype=np.intp))
 
 
 def _perpendicular(direction: Array) -> Array:
     across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
     return np.asarray(across / np.linalg.norm(across))
-
-
-FLATNESS = 1e-7  # relative thickness below which a solid counts as flat
 
 
 def box_corners(low: Array, high: Array) -> Array:
@@ -383,10 +402,10 @@ def section(corners: Array, origin: Array, plane: Array) -> Array:
     size = float(np.ptp(corners, axis=0).max())
     low = (corners @ normal - offset).min()
     high = (corners @ normal - offset).max()
-    if not low < -FLATNESS * size < FLATNESS * size < high:
+    if not low < -FINENESS.flat * size < FINENESS.flat * size < high:
         return np.zeros((0, 2))
     lower = cut_by_plane(corners, normal, offset)
-    face = lower[np.abs(lower @ normal - offset) <= FLATNESS * size]
+    face = lower[np.abs(lower @ normal - offset) <= FINENESS.flat * size]
     return convex_outline(face @ plane.T)
 
 
@@ -416,12 +435,7 @@ def _is_flat(points: Array) -> bool:
     if len(points) <= points.shape[1]:
         return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[-1] <= FLATNESS * spread[0])
-
-
-CYLINDER_SIDES = 48  # number of sides of the polygon that approximates the section of an obstacle
-MAX_SHOWN = 20_000  # maximum number of points drawn of a mesh or scan
-DOT_SIZE = 2e-3  # minimum radius of a point of a cloud, relative to the width of the cloud
+    return bool(spread[-1] <= FINENESS.flat * spread[0])
 
 
 def surface(obstacle: Obstacle) -> TriangleMesh:
@@ -450,16 +464,16 @@ def surface(obstacle: Obstacle) -> TriangleMesh:
 
 
 def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:
-    """Return the surface of a mesh or scan in its own frame, with at most `MAX_SHOWN` points."""
+    """Return the surface of a mesh or scan in its own frame, with at most `FINENESS.points` points."""
     points: Array = obstacle.content[0]
     faces: NDArray[np.integer] | None = obstacle.content[1]
-    if len(points) > MAX_SHOWN:
-        kept, cubes = representatives(points, MAX_SHOWN)
+    if len(points) > FINENESS.points:
+        kept, cubes = representatives(points, FINENESS.points)
         points = points[kept]
         faces = None if faces is None else between_cubes(faces, cubes)
     if faces is not None:
         return TriangleMesh(points, np.asarray(faces, dtype=np.intp))
-    radius = DOT_SIZE * float(np.ptp(obstacle.bounds, axis=0).max())
+    radius = FINENESS.dot_size * float(np.ptp(obstacle.bounds, axis=0).max())
     radius = max(radius, obstacle.point_radius) if isinstance(obstacle, Scan) else radius
     dot = hull_surface(radius * np.vstack([np.eye(3), -np.eye(3)]))
     corners = points[:, None] + dot.vertices
@@ -468,7 +482,7 @@ def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:
 
 def _arc(radius: float, first: float, last: float) -> Array:
     """Return distances from the axis and heights, (n, 2), between two latitudes [quarter turns]."""
-    count = 1 + round(CYLINDER_SIDES / 4 * (last - first))
+    count = 1 + round(FINENESS.obstacle_sides / 4 * (last - first))
     latitude = np.pi / 2.0 * np.linspace(first, last, count)
     return radius * np.column_stack([np.cos(latitude), np.sin(latitude)])
 
@@ -480,5 +494,5 @@ def _revolved(origin: Array, axis: Array, profile: Array) -> TriangleMesh:
 
     placement: Array = align_vectors([0.0, 0.0, 1.0], axis)  # type: ignore[no-untyped-call]
     placement[:3, 3] = origin
-    turned = revolve(profile, sections=CYLINDER_SIDES, transform=placement, process=False)
+    turned = revolve(profile, sections=FINENESS.obstacle_sides, transform=placement, process=False)
     return TriangleMesh(np.asarray(turned.vertices), np.asarray(turned.faces, dtype=np.intp))

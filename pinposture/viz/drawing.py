@@ -45,10 +45,43 @@ from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
-# Candidate views: x to the right, z up, none along an axis, where scales would coincide.
-AZIMUTHS = np.radians([-70.0, -110.0, -45.0, -135.0])
-ELEVATIONS = np.radians([22.0, 38.0, 60.0])
-AREA_GAIN = 1.3  # gain in visible area for which a view is preferred to an earlier one in the list
+
+class DrawingSettings(NamedTuple):
+    """From where a picture is seen, and what of its contents it shows."""
+
+    azimuths: Array = np.radians([-70.0, -110.0, -45.0, -135.0])
+    """Azimuths of candidate views, x to the right and z up [rad]; none is along an axis, where scales would
+    coincide."""
+
+    elevations: Array = np.radians([22.0, 38.0, 60.0])
+    """Their elevations [rad]."""
+
+    area_gain: float = 1.3
+    """Gain in visible area for which a view is preferred to an earlier one in the list."""
+
+    curve_samples: int = 400
+    """Number of samples of a curve."""
+
+    shown_beyond: float = 0.6
+    """Length of a curve shown beyond the last target point, in arm lengths."""
+
+    view_margin: float = 0.5
+    """How much the picture may grow to show obstacles, relative to its other contents."""
+
+    shown_part: float = 0.25
+    """Size of the shown part of an obstacle larger than the picture, relative to the other contents."""
+
+    plate_thickness: float = 0.02
+    """Thickness of the plate that represents a half-space, relative to the other contents."""
+
+    plate_width: float = 0.3
+    """Smallest width of that plate, relative to the other contents."""
+
+    many_obstacles: int = 24
+    """Number of obstacles above which they are drawn more transparently."""
+
+
+DRAWING = DrawingSettings()
 
 
 class Framing(NamedTuple):
@@ -94,11 +127,11 @@ def frame_points(points: Array) -> Framing:
     scatter = offsets.T @ offsets / (len(points) * radius**2) + 1e-4 * np.eye(3)
     chosen = (0.0, 0.0)
     largest = 0.0
-    for elevation in ELEVATIONS:
-        for azimuth in AZIMUTHS:
+    for elevation in DRAWING.elevations:
+        for azimuth in DRAWING.azimuths:
             screen = view_axes(float(azimuth), float(elevation))[:2]
             area = float(np.sqrt(np.linalg.det(screen @ scatter @ screen.T)))
-            if area > AREA_GAIN * largest:
+            if area > DRAWING.area_gain * largest:
                 chosen = (float(azimuth), float(elevation))
                 largest = area
     return Framing(center, radius, *chosen)
@@ -111,10 +144,6 @@ def view_axes(azimuth: float, elevation: float) -> Array:
     )
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return np.array([right, np.cross(eye, right), eye])
-
-
-CURVE_SAMPLES = 400
-SHOWN_BEYOND = 0.6  # length of a curve shown beyond the last target point, in arm lengths
 
 
 class Outline(NamedTuple):
@@ -149,13 +178,14 @@ def outline(arm: Arm, target: Target) -> Outline:
     curve = target.curve
     length = target.curve.length
     if target.parameters is None:
-        return Outline((curve.at(np.linspace(0.0, length, CURVE_SAMPLES)),), ())
+        return Outline((curve.at(np.linspace(0.0, length, DRAWING.curve_samples)),), ())
     places = np.clip(np.append(0.0, target.parameters), 0.0, length)
     last = float(np.max(places[1:][target.has_target], initial=0.0))
-    end = min(length, last + SHOWN_BEYOND * arm.length)
+    end = min(length, last + DRAWING.shown_beyond * arm.length)
     curve_spans = [(float(places[run].min()), float(places[run].max())) for run in runs]
     # Shorter pieces are invisible and may have no direction.
-    return _cut(curve_spans, end, 1e-6 * length, lambda a, b: curve.at(np.linspace(a, b, CURVE_SAMPLES)))
+    count = DRAWING.curve_samples
+    return _cut(curve_spans, end, 1e-6 * length, lambda a, b: curve.at(np.linspace(a, b, count)))
 
 
 def _cut(
@@ -314,15 +344,6 @@ def _base_mesh(arm: Arm, radius: float) -> TriangleMesh:
     return disc(joint - axis * radius, axis, 3.0 * radius, radius)
 
 
-# Relative to the size of the other contents of the picture:
-VIEW_MARGIN = 0.5  # margin by which the picture may grow to show obstacles
-SHOWN_PART = 0.25  # size of the shown part of an obstacle larger than the picture
-PLATE_THICKNESS = 0.02  # thickness of the plate that represents a half-space
-MIN_PLATE_WIDTH = 0.3  # minimum width of that plate
-
-MANY_OBSTACLES = 24  # number of obstacles above which they are drawn more transparently
-
-
 class ShownObstacle(NamedTuple):
     """An obstacle and its visible part.
 
@@ -354,7 +375,7 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
     low = points.min(axis=0)
     high = points.max(axis=0)
     size = max(float(np.max(high - low)), 1e-9)
-    region = low - VIEW_MARGIN * size, high + VIEW_MARGIN * size
+    region = low - DRAWING.view_margin * size, high + DRAWING.view_margin * size
     shown: dict[str, ShownObstacle] = {}
     planes: dict[str, tuple[Array, float]] = {}
     for name, obstacle in scene.obstacles.items():
@@ -370,8 +391,8 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
                 continue
             part = clip_to_box(corners, *region)
             if part is not corners and len(part):
-                least = np.minimum(low, part.max(axis=0)) - SHOWN_PART * size
-                most = np.maximum(high, part.min(axis=0)) + SHOWN_PART * size
+                least = np.minimum(low, part.max(axis=0)) - DRAWING.shown_part * size
+                most = np.maximum(high, part.min(axis=0)) + DRAWING.shown_part * size
                 part = clip_to_box(part, np.maximum(least, region[0]), np.minimum(most, region[1]))
             shown[name] = ShownObstacle(whole, part, part is not corners)
     if planes:
@@ -393,7 +414,7 @@ def _half_space_plates(
     """Return the corners of a plate below the surface of each half-space that reaches into a region."""
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2.0
     half = np.ptp(seen, axis=0) / 2.0
-    half = np.maximum(half, MIN_PLATE_WIDTH * size / 2.0)
+    half = np.maximum(half, DRAWING.plate_width * size / 2.0)
     low = middle - half
     high = middle + half
     feet = [low[None], high[None]]
@@ -403,7 +424,7 @@ def _half_space_plates(
             corners = box_corners(low, high)
             feet.append(np.clip(corners - np.outer(corners @ normal - offset, normal), *region))
     reach = np.vstack(feet)
-    thickness = PLATE_THICKNESS * size
+    thickness = DRAWING.plate_thickness * size
     room = box_corners(reach.min(axis=0) - thickness, reach.max(axis=0) + thickness)
     plates = {}
     for name, (normal, offset) in planes.items():
@@ -416,8 +437,34 @@ def _half_space_plates(
 
 
 ROOT = "/pinposture"
-POINT_SIZE = 1.9  # radius of an active control point, relative to `link_radius`
-IDLE_SIZE = 0.75  # size of an inactive control point, relative to an active one
+
+
+class MarkSizes(NamedTuple):
+    """Sizes of control points, of the hoops of their targets, and of lines."""
+
+    point: float = 1.9
+    """Radius of an active control point, relative to `link_radius`."""
+
+    idle: float = 0.75
+    """Radius of an inactive control point, relative to an active one."""
+
+    nothing: float = 1e-3
+    """Size of a hoop without a target."""
+
+    hoop: float = 1.35
+    """Radius of a hoop, relative to that of a control point."""
+
+    wire: float = 0.14
+    """Radius of its wire, relative to that of a control point."""
+
+    hoop_sides: int = 32
+    """Number of sides of the polygon that approximates a hoop."""
+
+    line: float = 0.25
+    """Radius of lines through targets, relative to `link_radius`."""
+
+
+SIZES = MarkSizes()
 
 
 def body_path(index: int) -> str:
@@ -470,10 +517,23 @@ def pose_tracks(path: str, times: Array, positions: Array, turns: Array) -> list
     ]
 
 
-REST_BEFORE = 0.6  # time for which the first posture is held [s]
-REST_AFTER = 1.6  # time for which the last posture is held [s]
-MIN_DURATION = 2.0  # minimum duration of a run; short ones are shown more slowly [s]
-MAX_DURATION = 60.0  # maximum duration of a motion in time; longer ones are shown faster [s]
+class PlaybackTimes(NamedTuple):
+    """Times of an animation [s]."""
+
+    rest_before: float = 0.6
+    """Time for which the first posture is held."""
+
+    rest_after: float = 1.6
+    """Time for which the last posture is held."""
+
+    shortest: float = 2.0
+    """Smallest duration of a run; short ones are shown more slowly."""
+
+    longest: float = 60.0
+    """Largest duration of a motion in time; longer ones are shown faster."""
+
+
+PLAYBACK = PlaybackTimes()
 
 
 @dataclass(frozen=True)
@@ -512,12 +572,12 @@ class Timeline:
 def playback(shown: Run | Trajectory, fps: float, max_frames: int) -> Timeline:
     """Choose the configurations to show: all, or as many as allowed, evenly spaced.
 
-    A motion is shown in real time, or 2, 5, 10, ... times as fast if that exceeds `MAX_DURATION`.
+    A motion is shown in real time, or 2, 5, 10, ... times as fast if that exceeds `PLAYBACK.longest`.
 
     Args:
         shown: a run, or a motion in time.
         fps: configurations of a motion per second of playback, fewer if it has fewer; steps of a run per
-            second, fewer if it would take less than `MIN_DURATION`.
+            second, fewer if it would take less than `PLAYBACK.shortest`.
         max_frames: maximum number of configurations, at least 2.
 
     Raises:
@@ -529,22 +589,23 @@ def playback(shown: Run | Trajectory, fps: float, max_frames: int) -> Timeline:
     if isinstance(shown, Trajectory):
         return _motion_playback(shown, float(fps), max_frames)
     count = min(shown.steps + 1, max_frames)
-    fps = min(fps, max(count - 1, 1) / MIN_DURATION)
+    fps = min(fps, max(count - 1, 1) / PLAYBACK.shortest)
     rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
-    times = REST_BEFORE * fps + np.arange(count, dtype=np.float64)
-    return Timeline(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
+    times = PLAYBACK.rest_before * fps + np.arange(count, dtype=np.float64)
+    return Timeline(shown, None, rows, times, float(times[-1] + PLAYBACK.rest_after * fps), float(fps))
 
 
 def _motion_playback(motion: Trajectory, fps: float, max_frames: int) -> Timeline:
     """Choose the rows of a motion to show and their times, with 1 / `fps` as the unit of time."""
     factors = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
     end = float(motion.time[-1])
-    speedup = next(factor for factor in factors if end <= MAX_DURATION * factor * (1.0 + 1e-9))
+    speedup = next(factor for factor in factors if end <= PLAYBACK.longest * factor * (1.0 + 1e-9))
     frames = int(np.ceil(motion.time[-1] / speedup * fps))
     count = min(frames, motion.steps, max_frames - 1) + 1
     rows = np.round(np.linspace(0, motion.steps, count)).astype(np.intp)
-    times = (REST_BEFORE + motion.time[rows] / speedup) * fps
-    return Timeline(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, speedup)
+    times = (PLAYBACK.rest_before + motion.time[rows] / speedup) * fps
+    last = float(times[-1] + PLAYBACK.rest_after * fps)
+    return Timeline(motion.run, motion, rows, times, last, fps, speedup)
 
 
 def arm_tracks(arm: Arm, shown: Timeline) -> list[Track]:
@@ -574,14 +635,11 @@ def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Tra
     changed = np.concatenate([[True], on[1:] != on[:-1]])
     changed[-1] = True  # all tracks must end together, because each restarts when it ends
     colors = np.where(on[changed, None], palette.rgb(THEME.active), palette.rgb(THEME.idle))
-    sizes = np.where(on[changed, None], 1.0, IDLE_SIZE) * np.ones(3)
+    sizes = np.where(on[changed, None], 1.0, SIZES.idle) * np.ones(3)
     return [
         Track(f"{path}/<object>", "material.color", "color", times[changed], colors, smooth=False),
         Track(path, "scale", "vector3", times[changed], sizes, smooth=False),
     ]
-
-
-NO_SIZE = 1e-3  # size of a hoop without a target
 
 
 def moving_target_tracks(motion: Trajectory, playback: Timeline) -> list[Track]:
@@ -596,7 +654,7 @@ def moving_target_tracks(motion: Trajectory, playback: Timeline) -> list[Track]:
         path = hoop_path(k)
         listed += pose_tracks(path, times, targets[held, k], turns[held, k])
         if not mask[:, k].all():
-            sizes = np.where(mask[held, k, None], 1.0, NO_SIZE) * np.ones(3)
+            sizes = np.where(mask[held, k, None], 1.0, SIZES.nothing) * np.ones(3)
             listed.append(Track(path, "scale", "vector3", times, sizes, smooth=False))
     return listed
 

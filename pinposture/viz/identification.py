@@ -38,7 +38,7 @@ def plot_identification(identification: Identification, log: int = 0) -> Figure:
     if not isinstance(log, int) or isinstance(log, bool) or not 0 <= log < len(logs):
         raise InvalidValue("log", log, f"a whole number from 0 to {len(logs) - 1}")
     found = identification.predict(logs[log])
-    figure = Figure(figsize=(palette.FIGURE_WIDTH, palette.FIGURE_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(palette.FIGURE.width, palette.FIGURE.height), layout="constrained")
     grid = figure.add_gridspec(3, 3, height_ratios=(1.3, 1.0, 1.0))
     panels = [figure.add_subplot(grid[row, :]) for row in range(2)]
     _plot_followed(found, panels[0], identification.unit)

@@ -42,7 +42,7 @@ from pinposture.storage import with_suffix, write_text
 from pinposture.units import length_text
 from pinposture.viz import drawing, palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge, tube
-from pinposture.viz.drawing import ROOT, Timeline, Track, playback, require_fitting
+from pinposture.viz.drawing import DRAWING, ROOT, SIZES, Timeline, Track, playback, require_fitting
 from pinposture.viz.palette import THEME
 from pinposture.viz.panels import has_clearance
 from pinposture.viz.postures import (
@@ -169,13 +169,6 @@ def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> N
     viewer.window.send(PlayAnimation(whole, repetitions=float("inf")))
 
 
-ELLIPSOID_OPACITY = 0.5
-HOOP_RADIUS = 1.35  # radius of a hoop, relative to that of a control point
-WIRE_RADIUS = 0.14  # radius of its wire, relative to that of a control point
-HOOP_SIDES = 32  # number of sides of the polygon that approximates a hoop
-LINE_RADIUS = 0.25  # radius of lines through targets, relative to `link_radius`
-
-
 def add(
     viewer: Visualizer, path: str, shape: TriangleMesh | Geometry, color: str, opacity: float = 1.0
 ) -> None:
@@ -199,8 +192,8 @@ def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
         shade = THEME.modules[body.module % len(THEME.modules)]
         add(viewer, f"{drawing.body_path(u)}/link", surfaces.bodies[u], shade)
         if body.point is not None:
-            add(viewer, drawing.point_path(u), BallGeometry(drawing.POINT_SIZE * radius), THEME.idle)
-            viewer[drawing.point_path(u)].set_transform(_transform(body.point, drawing.IDLE_SIZE))
+            add(viewer, drawing.point_path(u), BallGeometry(SIZES.point * radius), THEME.idle)
+            viewer[drawing.point_path(u)].set_transform(_transform(body.point, SIZES.idle))
     pose_arm(viewer, arm, q)
 
 
@@ -231,13 +224,14 @@ def add_moving_targets(viewer: Visualizer, motion: Trajectory, places: Sequence[
         points = motion.targets[place.row][motion.target_mask[place.row]]
         line = without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
         if len(line) > 1:
-            add(viewer, f"{ROOT}/target/place_{number:03d}", tube(line, LINE_RADIUS * radius), place.color)
-    around = 2.0 * np.pi * np.arange(HOOP_SIDES + 1) / HOOP_SIDES
-    circle = np.stack([np.cos(around), np.sin(around), np.zeros(HOOP_SIDES + 1)], axis=1)
-    hoop = tube(HOOP_RADIUS * drawing.POINT_SIZE * radius * circle, WIRE_RADIUS * drawing.POINT_SIZE * radius)
+            path = f"{ROOT}/target/place_{number:03d}"
+            add(viewer, path, tube(line, SIZES.line * radius), place.color)
+    around = 2.0 * np.pi * np.arange(SIZES.hoop_sides + 1) / SIZES.hoop_sides
+    circle = np.stack([np.cos(around), np.sin(around), np.zeros(SIZES.hoop_sides + 1)], axis=1)
+    hoop = tube(SIZES.hoop * SIZES.point * radius * circle, SIZES.wire * SIZES.point * radius)
     turns = drawing.hoop_turns(arm, motion.targets[:1], motion.target_mask[:1])
     for k in drawing.targeted_points(motion):
-        size = 1.0 if motion.target_mask[0, k] else drawing.NO_SIZE
+        size = 1.0 if motion.target_mask[0, k] else SIZES.nothing
         turn = Rotation.from_quat(turns[0, k]).as_matrix()
         add(viewer, drawing.hoop_path(k), hoop, THEME.target)
         viewer[drawing.hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
@@ -245,7 +239,7 @@ def add_moving_targets(viewer: Visualizer, motion: Trajectory, places: Sequence[
 
 def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) -> None:
     """Draw translucent obstacles."""
-    opacity = THEME.sheer if len(shown) > drawing.MANY_OBSTACLES else THEME.see_through
+    opacity = THEME.sheer if len(shown) > DRAWING.many_obstacles else THEME.see_through
     for number, each in enumerate(shown, start=1):
         add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, THEME.obstacle, opacity)
 
@@ -256,7 +250,7 @@ def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
     for p, point in enumerate(shown.points):
         path = ellipsoid_path(point)
         axes = (shown.frames[0, p] * shown.radii[0, p, :, None]).T
-        add(viewer, path, unit, palette.index_color(shown.indices[0, p]), ELLIPSOID_OPACITY)
+        add(viewer, path, unit, palette.index_color(shown.indices[0, p]), THEME.ellipsoids)
         viewer[path].set_transform(_transform(shown.centers[0, p], axes))
 
 
@@ -268,9 +262,20 @@ def _transform(position: Array, linear: Array | float = 1.0) -> Array:
     return matrix
 
 
-FIELD_OF_VIEW = 35.0  # vertical [deg]; narrower than usual, to reduce the distortion of near objects
-ASPECT = 4.0 / 3.0  # aspect ratio of the narrowest window that shows everything
-CAMERA_MARGIN = 1.15  # factor applied to the camera distance
+class CameraSettings(NamedTuple):
+    """The view of an animation."""
+
+    field_of_view: float = 35.0
+    """Vertical field of view [deg]; narrower than usual, to reduce the distortion of near objects."""
+
+    aspect: float = 4.0 / 3.0
+    """Aspect ratio of the narrowest window that shows everything."""
+
+    margin: float = 1.15
+    """Factor of the camera distance."""
+
+
+CAMERA = CameraSettings()
 
 
 def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
@@ -283,7 +288,7 @@ def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
     viewer[ROOT].set_transform(_transform(-framing.center))
     grid = _transform(np.array([0.0, 0.0, floor]), 0.4 * round_down(framing.radius))
     viewer["/Grid"].set_transform(grid)
-    distance = CAMERA_MARGIN * framing.distance(points, np.radians(FIELD_OF_VIEW), ASPECT)
+    distance = CAMERA.margin * framing.distance(points, np.radians(CAMERA.field_of_view), CAMERA.aspect)
     x, y, z = distance * framing.axes[2]
     camera = "/Cameras/default/rotated/<object>"
     properties: list[tuple[str, str, Any]] = [
@@ -296,7 +301,7 @@ def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
         # By default, these two lights fade out after 10 m.
         ("/Lights/PointLightNegativeX/<object>", "distance", 0.0),
         ("/Lights/PointLightPositiveX/<object>", "distance", 0.0),
-        (camera, "fov", FIELD_OF_VIEW),
+        (camera, "fov", CAMERA.field_of_view),
         (camera, "near", 0.01 * distance),
         (camera, "far", 100.0 * distance),
         # In the camera frame, y points up.
@@ -362,7 +367,20 @@ def draw_scene(
     return DrawnScene(moving, bool(obstacles), places)
 
 
-MAX_FRAMES = 2000  # maximum number of configurations sent to the browser
+class FrameLimits(NamedTuple):
+    """Largest numbers of configurations of an animation."""
+
+    viewer: int = 2000
+    """Those sent to the browser."""
+
+    run: int = 240
+    """Those of a page of a run."""
+
+    motion: int = 1200
+    """Those of a page of a motion."""
+
+
+FRAMES = FrameLimits()
 
 
 class Viewer:
@@ -395,7 +413,7 @@ class Viewer:
         self.target = target
         self.scene = scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
-        self._playback = None if run is None else drawing.playback(run, fps, MAX_FRAMES)
+        self._playback = None if run is None else drawing.playback(run, fps, FRAMES.viewer)
         self._playing = False
         self.meshcat = Visualizer(window=Connection(url))
         try:
@@ -554,10 +572,6 @@ def _color_key(entries: Sequence[tuple[str, str]]) -> str:
     return "".join(dots)
 
 
-MAX_RUN_FRAMES = 240
-MAX_MOTION_FRAMES = 1200
-
-
 @dataclass(frozen=True)
 class AnimationPage:
     """An animation as a self-contained HTML page, including the script of the viewer.
@@ -625,7 +639,7 @@ def animate(
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)
     if max_frames is None:
-        max_frames = MAX_MOTION_FRAMES if isinstance(run, Trajectory) else MAX_RUN_FRAMES
+        max_frames = FRAMES.motion if isinstance(run, Trajectory) else FRAMES.run
     return AnimationPage(_page_html(arm, playback(run, fps, max_frames), target, points))
 
 
@@ -680,7 +694,7 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
         legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=THEME.ink,
         end=shown.end / shown.fps,
-        aspect=ASPECT,
+        aspect=CAMERA.aspect,
         viewer=_viewer_script(),
         run=json.dumps(described).replace("<", r"\u003c"),  # names must not end the script
         commands=json.dumps(packed),

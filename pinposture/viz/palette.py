@@ -117,6 +117,9 @@ class Theme(NamedTuple):
     faint: str = "#DDDDDD"
     """Grid lines."""
 
+    ellipsoids: float = 0.5
+    """Opacity of ellipsoids in animations."""
+
 
 THEME = Theme()
 
@@ -172,10 +175,29 @@ def rgb(color: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-LOG_DECADES = 1.5  # decades spanned by the values from which the axis is logarithmic
-HEADROOM = 0.1  # share of a logarithmic axis above the largest value, where its text stands
-EDGE = 0.15  # share of an axis at either end, near which a text above a point would leave the axes
-MAX_DECADES = 12.0  # maximum number of decades on such an axis; smaller values are rounding errors
+class FigureLayout(NamedTuple):
+    """Size of a figure, and scales of its axes."""
+
+    width: float = 12.0
+    """Width [inch]; 1200 pixels at the default resolution."""
+
+    height: float = 7.2
+    """Height [inch]."""
+
+    log_decades: float = 1.5
+    """Decades spanned by the values from which an axis is logarithmic."""
+
+    most_decades: float = 12.0
+    """Largest number of decades on such an axis; smaller values are rounding errors."""
+
+    headroom: float = 0.1
+    """Share of such an axis above the largest value, where its text stands."""
+
+    edge: float = 0.15
+    """Share of an axis at either end, near which a text above a point would leave the axes."""
+
+
+FIGURE = FigureLayout()
 
 
 def format_step_axes(ax: Axes, label: str) -> None:
@@ -221,14 +243,14 @@ def scale_values(ax: Axes, floor: float = 0.0) -> None:
     values = np.concatenate([*drawn, np.zeros(0)])
     positive = values[values > floor]
     top = float(positive.max()) if len(positive) else 1.0
-    if not len(positive) or np.log10(top / positive.min()) < LOG_DECADES:
+    if not len(positive) or np.log10(top / positive.min()) < FIGURE.log_decades:
         ax.set_yscale("linear")
         ax.set_ylim(-0.03 * top, 1.15 * top)
         return
     ax.set_yscale("log", nonpositive="clip")
     ax.yaxis.set_minor_formatter(NullFormatter())
-    least = max(float(positive.min()), top * 10.0**-MAX_DECADES)
-    ax.set_ylim(least / 1.8, top * max(1.8, (top / least) ** HEADROOM))
+    least = max(float(positive.min()), top * 10.0**-FIGURE.most_decades)
+    ax.set_ylim(least / 1.8, top * max(1.8, (top / least) ** FIGURE.headroom))
 
 
 def label_lengths(panels: Sequence[Axes], name: str) -> None:
@@ -294,10 +316,10 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
 def _beside(ax: Axes, place: tuple[float, float]) -> tuple[int, int, str, str]:
     """Return offset [pt] and alignment of a text above a point, or where it stays inside the axes."""
     along, high = ax.transAxes.inverted().transform(ax.transData.transform(place))
-    up, va = (-8, "top") if high > 1.0 - EDGE else (8, "bottom")
-    if along < EDGE:
+    up, va = (-8, "top") if high > 1.0 - FIGURE.edge else (8, "bottom")
+    if along < FIGURE.edge:
         return 4, up, "left", va
-    if along > 1.0 - EDGE:
+    if along > 1.0 - FIGURE.edge:
         return -4, up, "right", va
     return 0, up, "center", va
 
@@ -318,13 +340,9 @@ def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any)
     bar.outline.set_visible(False)
 
 
-FIGURE_WIDTH = 12.0  # [inch]; 1200 pixels at the default resolution
-FIGURE_HEIGHT = 7.2  # [inch]
-
-
 def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
     """Return a figure, its axes for postures of an arm, and the panels beside them, from top to bottom."""
-    size = FIGURE_WIDTH, FIGURE_HEIGHT + max(0, rows - 3)
+    size = FIGURE.width, FIGURE.height + max(0, rows - 3)
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
     room: dict[str, Any] = {"left": 0.01, "right": 0.97, "bottom": 0.08, "top": 0.88}  # before it is laid out
     grid = figure.add_gridspec(rows, 2, width_ratios=(1.75, 1.0), **room)
@@ -444,9 +462,20 @@ def limits_text(run: Run) -> str:
     return f"limits: {', '.join(found) or 'joint positions only'}"
 
 
-MAX_PLACES = 8  # maximum number of places in a picture
-MAX_NAME_LENGTH = 22  # maximum length of the name of a place [characters]
-SAME_POSTURE = 1e-4  # distance of control points below which postures look the same, in arm lengths
+class PlaceSettings(NamedTuple):
+    """Which places of a motion a figure names."""
+
+    most: int = 8
+    """Largest number of places in a figure."""
+
+    longest_name: int = 22
+    """Length of the name of a place, at most [characters]."""
+
+    same_posture: float = 1e-4
+    """Distance of control points below which postures look the same, in arm lengths."""
+
+
+NAMED_PLACES = PlaceSettings()
 
 
 class Place(NamedTuple):
@@ -464,10 +493,11 @@ class Place(NamedTuple):
 
 
 def shown_places(motion: Trajectory) -> list[Place]:
-    """Return the places that a motion reached, in order; at most `MAX_PLACES`, evenly spaced."""
+    """Return the places that a motion reached, in order; at most `NAMED_PLACES.most`, evenly spaced."""
     reached = [(place.name, place.row) for place in motion.waypoints if place.row is not None]
-    if len(reached) > MAX_PLACES:
-        reached = [reached[k] for k in np.round(np.linspace(0, len(reached) - 1, MAX_PLACES)).astype(int)]
+    if len(reached) > NAMED_PLACES.most:
+        shown = np.round(np.linspace(0, len(reached) - 1, NAMED_PLACES.most)).astype(int)
+        reached = [reached[k] for k in shown]
     shares = np.linspace(1.0, 0.0, len(reached))[::-1]  # a single place counts as the last one
     colors = [in_time(float(share)) for share in shares]
     return [Place(_shorten(name), row, color) for (name, row), color in zip(reached, colors, strict=True)]
@@ -476,7 +506,7 @@ def shown_places(motion: Trajectory) -> list[Place]:
 def group_alike(motion: Trajectory, places: Sequence[Place]) -> list[list[Place]]:
     """Group places with the same posture, ordered by the first place of each group."""
     points = motion.run.points
-    tolerance = SAME_POSTURE * motion.arm.length
+    tolerance = NAMED_PLACES.same_posture * motion.arm.length
     groups: list[list[Place]] = []
     for place in places:
         for group in groups:
@@ -491,6 +521,6 @@ def group_alike(motion: Trajectory, places: Sequence[Place]) -> list[list[Place]
 def _shorten(name: str) -> str:
     """Remove the middle of a long name: names may differ at either end."""
     name = " ".join(name.split())
-    if len(name) <= MAX_NAME_LENGTH:
+    if len(name) <= NAMED_PLACES.longest_name:
         return name
-    return f"{name[: MAX_NAME_LENGTH - 11].rstrip()}...{name[-8:].lstrip()}"
+    return f"{name[: NAMED_PLACES.longest_name - 11].rstrip()}...{name[-8:].lstrip()}"

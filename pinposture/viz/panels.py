@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -194,7 +194,38 @@ def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **styl
     ax.plot(places, np.zeros(len(places)), transform=ax.get_xaxis_transform(), **style)
 
 
-MAX_REASON_LENGTH = 44  # maximum length of a constraint in a legend [characters]
+class PanelLayout(NamedTuple):
+    """Texts, legends and lines of panels."""
+
+    longest_reason: int = 44
+    """Length of a constraint in a legend, at most [characters]."""
+
+    legend_length: int = 48
+    """Length of all labels from which a legend has one column [characters]."""
+
+    legend_width: int = 84
+    """Width of the legend above the postures [characters]."""
+
+    handle_width: int = 8
+    """Width of its symbols [characters]."""
+
+    letter_width: float = 4.6
+    """Mean letter width of the names above the axes [pt]."""
+
+    name_distance: float = 18.0
+    """Distance between places that get names of their own [pt]."""
+
+    fewest_places: int = 3
+    """Number of named places below which intermediate postures are shown."""
+
+    most_detours: int = 2
+    """Largest number of detours in a title."""
+
+    dashes: tuple[int, tuple[int, int]] = (0, (4, 2))
+    """Dashes of lines of limits and plans."""
+
+
+PANEL = PanelLayout()
 
 
 def has_clearance(run: Run) -> bool:
@@ -231,7 +262,7 @@ def plot_clearance(
         margin = f"margin to keep, {length_text(run.scene.margin)}"
         if margin not in [line.get_label() for line in ax.get_lines()]:
             ends = [0.0, places[-1] or 1.0]
-            ax.plot(ends, [run.scene.margin] * 2, color=THEME.ink, lw=1.0, ls=DASHES, label=margin)
+            ax.plot(ends, [run.scene.margin] * 2, color=THEME.ink, lw=1.0, ls=PANEL.dashes, label=margin)
     format_run_axes(ax, run, "clearance")
     palette.scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
@@ -266,7 +297,7 @@ def mark_violations(run: Run, ax: Axes) -> None:
     steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
     if len(steps):
         first = str(run.violated_constraints[steps[0]])
-        words = textwrap.shorten(first, MAX_REASON_LENGTH, placeholder=" ...")
+        words = textwrap.shorten(first, PANEL.longest_reason, placeholder=" ...")
         label = f"violated in {len(steps)} step{'s' * (len(steps) > 1)}: {words}"
         _mark_on_axis(ax, places[steps + 1], label, marker="|", ms=7.0, mew=1.2)
 
@@ -275,18 +306,12 @@ def add_legend(ax: Axes) -> None:
     """Add a legend above the axes if anything has a label: in one column if the labels are long."""
     handles, labels = ax.get_legend_handles_labels()
     if handles:
-        columns = 3 if sum(map(len, labels)) < LEGEND_LENGTH else 1
+        columns = 3 if sum(map(len, labels)) < PANEL.legend_length else 1
         style: dict[str, Any] = {"fontsize": 8, "borderaxespad": 0.2, "labelspacing": 0.3, "ncols": columns}
         where: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
         legend = ax.legend(handles, labels, **where, **style)
         for text in legend.get_texts():
             text.set_parse_math(False)
-
-
-LEGEND_LENGTH = 48  # length of all labels from which a legend has one column [characters]
-LETTER_WIDTH = 4.6  # mean letter width of the names above the axes [pt]
-MIN_NAME_DISTANCE = 18.0  # [pt]
-DASHES = (0, (4, 2))
 
 
 def plot_error(motion: Trajectory, ax: Axes) -> None:
@@ -338,7 +363,7 @@ def plot_joint_rates(motion: Trajectory, ax: Axes) -> None:
         ax.plot(motion.time[1:] - motion.dt / 2.0, speeds, color=THEME.spare[2], **style)
         largest = max(largest, float(speeds.max(initial=0.0)))
     ends = [0.0, float(motion.time[-1]) or 1.0]
-    ax.plot(ends, [1.0, 1.0], color=THEME.ink, lw=1.0, ls=DASHES, label="limit")
+    ax.plot(ends, [1.0, 1.0], color=THEME.ink, lw=1.0, ls=PANEL.dashes, label="limit")
     palette.format_time_axes(ax, "largest of all joints\n[share of limit]")
     ax.set_ylim(-0.03 * largest, 1.12 * largest)
     add_legend(ax)
@@ -348,7 +373,7 @@ def plot_plan_time(motion: Trajectory, ax: Axes) -> None:
     """Plot plan time over real time, as executed and as planned."""
     begin = float(motion.time[motion.start_index])
     plan = [0.0, begin, begin + motion.planned]
-    ax.plot(plan, [0.0, 0.0, motion.planned], color=THEME.ink, lw=1.0, ls=DASHES, label="as planned")
+    ax.plot(plan, [0.0, 0.0, motion.planned], color=THEME.ink, lw=1.0, ls=PANEL.dashes, label="as planned")
     label = f"as executed, {motion.time_scale:.3g} times as long"
     ax.plot(motion.time, motion.plan_time, color=THEME.spare[1], lw=1.6, label=label)
     palette.format_time_axes(ax, "plan time [s]")
@@ -371,7 +396,7 @@ def mark_places(places: Sequence[palette.Place], panels: Sequence[Axes], times: 
     above = 3.0 if legend is None else 72.0 * legend.get_window_extent().height / first.figure.dpi
     names = _merge_close_names(places, [scale * time for time in times])
     slanted = any(
-        (at - before) < LETTER_WIDTH * (len(name) + len(other)) / 2.0 + LETTER_WIDTH
+        (at - before) < PANEL.letter_width * (len(name) + len(other)) / 2.0 + PANEL.letter_width
         for (before, other), (at, name) in pairwise(names)
     )
     for at, name in names:
@@ -387,17 +412,11 @@ def _merge_close_names(
     """Return positions [pt] and names to write; names that are too close are joined as far as they fit."""
     names: list[tuple[float, str]] = []
     for place, at in zip(places, positions, strict=True):
-        if not names or at - names[-1][0] >= MIN_NAME_DISTANCE:
+        if not names or at - names[-1][0] >= PANEL.name_distance:
             names.append((at, place.name))
-        elif len(names[-1][1]) + len(place.name) < palette.MAX_NAME_LENGTH:
+        elif len(names[-1][1]) + len(place.name) < palette.NAMED_PLACES.longest_name:
             names[-1] = names[-1][0], f"{names[-1][1]}, {place.name}"
     return names
-
-
-MIN_PLACES = 3  # motions with fewer named places are shown with intermediate postures
-LEGEND_WIDTH = 84  # width of the legend above the postures [characters]
-HANDLE_WIDTH = 8  # width of its symbols [characters]
-MAX_DETOURS = 2  # maximum number of detours in a title
 
 
 def plot_motion(motion: Trajectory) -> Figure:
@@ -418,9 +437,9 @@ def plot_motion(motion: Trajectory) -> Figure:
     places = palette.shown_places(motion)
     mark_places(places, rows, [float(time[place.row]) for place in places])
     palette.share_axis(rows)
-    deviations = [f"not as planned: {text}" for text in motion.deviations[:MAX_DETOURS]]
-    if len(motion.deviations) > MAX_DETOURS:
-        deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
+    deviations = [f"not as planned: {text}" for text in motion.deviations[: PANEL.most_detours]]
+    if len(motion.deviations) > PANEL.most_detours:
+        deviations.append(f"and {len(motion.deviations) - PANEL.most_detours} more")
     palette.add_title(figure, [title(motion.summary(), palette.controller_name(run)), *deviations])
     palette.add_footnote(
         figure, palette.controller_text(run), palette.limits_text(run), palette.placement_text(motion)
@@ -450,14 +469,14 @@ def plot_places(motion: Trajectory, ax: Axes) -> None:
         panel.posture(run.q[group[0].row], group[0].color, label, 2.2)
     if not groups:
         panel.posture(run.q[-1], color, "final posture", 2.2)
-    if run.scene is not None or len(groups) < MIN_PLACES:
+    if run.scene is not None or len(groups) < PANEL.fewest_places:
         draw_intermediate_postures(panel, run, color, evenly_spaced_rows(run))
     panel.finish(run.scene)
     handles, labels = ax.get_legend_handles_labels()
     for columns in (3, 2, 1):
         rows_each = -(-len(labels) // columns)
         widths = [max(map(len, labels[k : k + rows_each])) for k in range(0, len(labels), rows_each)]
-        if sum(widths) + HANDLE_WIDTH * columns <= LEGEND_WIDTH:
+        if sum(widths) + PANEL.handle_width * columns <= PANEL.legend_width:
             break
     where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns}
     legend = ax.legend(handles, labels, fontsize=9, frameon=False, **where)
@@ -468,7 +487,7 @@ def plot_places(motion: Trajectory, ax: Axes) -> None:
 def plot_joints(trajectory: JointTrajectory) -> Figure:
     """Plot joint positions, velocities and accelerations over time; see `plot`."""
     count = len(trajectory.joint_names)
-    figure = Figure(figsize=(palette.FIGURE_WIDTH, palette.FIGURE_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(palette.FIGURE.width, palette.FIGURE.height), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
     colors, norm = palette.colors_along(count)
     unit = " or ".join(each for each in dict.fromkeys(trajectory.units) if each)

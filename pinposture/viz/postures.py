@@ -40,8 +40,39 @@ from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
-PLOT_SHARE = 0.78  # share of the plot in the room for 3D axes; the rest is for the scales
-MAX_PLOT_SHARE = 0.98  # share of the plot in 3D axes, which clip it
+
+class PostureLook(NamedTuple):
+    """How a figure shows postures, obstacles and ellipsoids."""
+
+    plot_share: float = 0.78
+    """Share of the plot in the room for 3D axes; the rest is for the scales."""
+
+    most_plot_share: float = 0.98
+    """Share of the plot in 3D axes, which clip it."""
+
+    veil_share: float = 0.6
+    """Share of the colour of obstacles in that of a line behind one."""
+
+    veil_segments: int = 400
+    """Number of segments per size of the picture into which lines are split to find hidden parts."""
+
+    most_dots: int = 4000
+    """Number of points drawn of a scan or a hollow mesh, at most about this."""
+
+    edge_color: str = palette.mixed(THEME.obstacle, THEME.ink, 0.35)
+    """Colour of outlines."""
+
+    largest_ellipsoid: float = 0.2
+    """Largest radius of ellipsoids, about, relative to the arm length."""
+
+    least_ellipsoid: float = 0.3
+    """Smallest radius of ellipsoids, relative to `link_radius`; flat ellipsoids become discs or rods."""
+
+    ellipse_sides: int = 48
+    """Number of sides of the polygon that approximates an ellipse."""
+
+
+POSTURES = PostureLook()
 
 
 class DrawnLine(NamedTuple):
@@ -192,7 +223,7 @@ def _frame_space(ax: Any, points: Array) -> None:
     ax.set_box_aspect(tuple(half))  # a copy, because it scales arrays in place
     room = ax.get_position(original=True).size * ax.figure.get_size_inches()
     # 3D axes are square: where they have more room to the sides, the scales may use that.
-    share = np.minimum(PLOT_SHARE * room / room.min(), MAX_PLOT_SHARE)
+    share = np.minimum(POSTURES.plot_share * room / room.min(), POSTURES.most_plot_share)
     ax.set_box_aspect(tuple(half), zoom=(share / box_extent(ax)).min())
 
 
@@ -202,12 +233,6 @@ def box_extent(ax: Any) -> Array:
     projected = np.hstack([corners, np.ones((8, 1))]) @ ax.get_proj().T
     flat = ax.transLimits.transform(projected[:, :2] / projected[:, 3:])
     return np.asarray(np.ptp(flat, axis=0))
-
-
-VEIL_SHARE = 0.6  # share of the obstacle colour in that of a line behind it
-VEIL_SEGMENTS = 400  # number of segments per picture size into which lines are split to find hidden parts
-MAX_DOTS = 4000  # number of points drawn of a scan or a hollow mesh, at most about this
-EDGE_COLOR = palette.mixed(THEME.obstacle, THEME.ink, 0.35)  # colour of outlines
 
 
 def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None:
@@ -231,13 +256,13 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
     label = "obstacle" if len(shown) == 1 else "obstacles"
     label += " (clipped)" if any(each.cut for each in near) else ""
     label += f", {len(shown) - len(near)} far off" if len(near) < len(shown) else ""
-    square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": EDGE_COLOR, "mew": 0.7}
+    square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": POSTURES.edge_color, "mew": 0.7}
     panel.ax.plot([], [], mfc=(*palette.rgb(THEME.obstacle), THEME.see_through), label=label, **square)
 
 
 def _draw_dots(panel: PosturePanel, points: Array) -> None:
     """Draw the points of a scan or a hollow mesh."""
-    shown = points[:: 1 + len(points) // MAX_DOTS]
+    shown = points[:: 1 + len(points) // POSTURES.most_dots]
     style: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 2.0, "mew": 0.0, "zorder": 0.55}
     panel.ax.plot(*panel.coordinates(shown), color=THEME.obstacle, alpha=THEME.see_through, **style)
 
@@ -258,7 +283,7 @@ def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:
         if len(rim):
             depth = float((solid @ panel.eye).mean())
             line = np.vstack([rim, rim[:1]]) @ panel.screen + depth * panel.eye
-            ax.plot(*line.T, color=EDGE_COLOR, lw=0.8, zorder=0.6)
+            ax.plot(*line.T, color=POSTURES.edge_color, lw=0.8, zorder=0.6)
     if shades:
         most = max(map(len, faces))
         faces = [np.vstack([face, *[face[-1:]] * (most - len(face))]) for face in faces]
@@ -274,7 +299,7 @@ def _shade(level: float) -> tuple[float, float, float, float]:
 
 def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
     """Redraw the parts of lines that solids hide, blended with the colour of obstacles."""
-    finest = float(np.ptp(panel.drawn, axis=0).max()) / VEIL_SEGMENTS
+    finest = float(np.ptp(panel.drawn, axis=0).max()) / POSTURES.veil_segments
     for line in list(panel.lines):
         dots = line.style.get("ls") == "none"
         dashed = not dots and line.style.get("ls", "-") != "-"
@@ -289,7 +314,7 @@ def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
             style = {**line.style, "label": "_", "zorder": line.style["zorder"] + 0.001}
             for key in ("color", "mfc", "mec"):
                 if str(style.get(key, "")).startswith("#"):
-                    style[key] = palette.mixed(style[key], THEME.obstacle, VEIL_SHARE)
+                    style[key] = palette.mixed(style[key], THEME.obstacle, POSTURES.veil_share)
             panel.ax.plot(*panel.coordinates(np.where(behind[:, None], points, np.nan)), **style)
 
 
@@ -305,7 +330,7 @@ def _subdivide(points: Array, finest: float) -> Array:
 
 def _draw_sections(panel: PosturePanel, solids: Sequence[Array]) -> None:
     ax: Axes = panel.ax
-    edge: dict[str, Any] = {"edgecolor": EDGE_COLOR, "lw": 0.8, "zorder": 0.6}
+    edge: dict[str, Any] = {"edgecolor": POSTURES.edge_color, "lw": 0.8, "zorder": 0.6}
     face = (*palette.rgb(THEME.obstacle), THEME.see_through)
     for solid in solids:
         cross = section(solid, panel.arm.chain.base, panel.screen)
@@ -367,8 +392,6 @@ def draw_intermediate_postures(panel: PosturePanel, run: Run, color: str, rows: 
         panel.line(backbone(run.arm, run.q[row]), label="_" if k else "intermediate postures", **pale)
 
 
-LARGEST_RADIUS = 0.2  # approximate maximum drawn radius, relative to the arm length
-ELLIPSE_SIDES = 48  # number of sides of the polygon that approximates an ellipse
 INDEX_LABELS = {  # index (4.4) by the colour of an ellipsoid
     THEME.singular: "0, singular",
     THEME.worse: f"{THEME.regular_index / 4:g}",
@@ -386,7 +409,7 @@ def drawn_length(arm: Arm, points: Sequence[int]) -> float:
     fastest = max((float(np.linalg.norm(_lever_arms(arm, point))) for point in points), default=0.0)
     # In space, joint motions are distributed over two directions across the arm.
     radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
-    return round_down(LARGEST_RADIUS * arm.length / radius, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+    return round_down(POSTURES.largest_ellipsoid * arm.length / radius, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 
 
 def round_down(length: float, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> float:
@@ -458,12 +481,10 @@ def _lever_arms(arm: Arm, point: int) -> Array:
 
 
 def _circle() -> Array:
-    """Return the unit circle as a closed line, (ELLIPSE_SIDES + 1, 2)."""
-    around = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_SIDES + 1)
+    """Return the unit circle as a closed line, (POSTURES.ellipse_sides + 1, 2)."""
+    around = np.linspace(0.0, 2.0 * np.pi, POSTURES.ellipse_sides + 1)
     return np.column_stack([np.cos(around), np.sin(around)])
 
-
-MIN_ELLIPSOID_RADIUS = 0.3  # relative to `link_radius`; flat ellipsoids become discs or rods
 
 # Signed permutations of the axes of a right-handed frame, as rotations (24, 3, 3).
 _AXIS_PERMUTATIONS = np.rint(Rotation.create_group("O").as_matrix())
@@ -497,7 +518,7 @@ def ellipsoid_motion(arm: Arm, points: tuple[int, ...], rows: Array) -> Ellipsoi
     # A planar ellipse has no third radius.
     radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]).reshape(*shape, 3)
     indices = np.array([one.index for one in listed]).reshape(shape)
-    drawn = np.maximum(drawn_length(arm, points) * radii, MIN_ELLIPSOID_RADIUS * link_radius(arm))
+    drawn = np.maximum(drawn_length(arm, points) * radii, POSTURES.least_ellipsoid * link_radius(arm))
     return EllipsoidMotion(points, centers, *continue_axes(frames, drawn), indices)
 
 

@@ -30,7 +30,7 @@ def plot_simulation(simulation: Simulation) -> Figure:
         A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown or registered with
         pyplot.
     """
-    figure = Figure(figsize=(palette.FIGURE_WIDTH, palette.FIGURE_HEIGHT), layout="constrained")
+    figure = Figure(figsize=(palette.FIGURE.width, palette.FIGURE.height), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
     _plot_joints(simulation, simulation.joint_error, panels[0])
     slides = simulation.arm.slides

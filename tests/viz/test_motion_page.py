@@ -15,7 +15,7 @@ from viz.test_view_html import Page
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.placement.target import Moved
-from pinposture.viz.drawing import REST_AFTER, REST_BEFORE
+from pinposture.viz.drawing import PLAYBACK
 from pinposture.viz.palette import THEME
 
 
@@ -36,9 +36,9 @@ def test_the_page_plays_as_long_as_the_motion_took(tmp_path):
     motion = some_motion()
     text = pp.save_html(five_modules(), motion, tmp_path / "motion").read_text(encoding="utf-8")
     page = Page(text)
-    assert f'max="{REST_BEFORE + 3.0 + REST_AFTER}"' in text
+    assert f'max="{PLAYBACK.rest_before + 3.0 + PLAYBACK.rest_after}"' in text
     times = page.constant("run")["times"]
-    np.testing.assert_allclose(times, REST_BEFORE + motion.time, atol=1e-6)
+    np.testing.assert_allclose(times, PLAYBACK.rest_before + motion.time, atol=1e-6)
     assert len(page.constant("run")["texts"]) == len(times)
     assert page.references == []
     assert "shown in real time; targets at straight S coil" in words(page)
@@ -46,7 +46,7 @@ def test_the_page_plays_as_long_as_the_motion_took(tmp_path):
     for item in animation["animations"]:
         for track in item["clip"]["tracks"]:
             end = np.frombuffer(track["times"].data, "<f4")[-1] / item["clip"]["fps"]
-            assert end == pytest.approx(REST_BEFORE + 3.0 + REST_AFTER, abs=1e-5)
+            assert end == pytest.approx(PLAYBACK.rest_before + 3.0 + PLAYBACK.rest_after, abs=1e-5)
 
 
 @pytest.mark.filterwarnings("ignore:dt is 4 s, long")
@@ -54,7 +54,7 @@ def test_a_motion_of_minutes_is_played_faster_and_the_page_says_so(tmp_path):
     motion = some_motion(limits=pp.Limits(step=None, dt=4.0))
     page = page_of(motion, tmp_path)
     assert "shown 5 times as fast as recorded" in words(page)
-    assert page.constant("run")["times"][-1] == pytest.approx(REST_BEFORE + 240.0 / 5.0)
+    assert page.constant("run")["times"][-1] == pytest.approx(PLAYBACK.rest_before + 240.0 / 5.0)
 
 
 def test_the_caption_tells_time_place_error_and_clearance(tmp_path):

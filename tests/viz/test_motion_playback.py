@@ -17,9 +17,9 @@ from viz.motions import five_modules, some_motion
 import pinposture as pp
 from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.viz.body import body_poses
-from pinposture.viz.drawing import REST_BEFORE, arm_tracks, hoop_turns, moving_target_tracks, playback
+from pinposture.viz.drawing import PLAYBACK, arm_tracks, hoop_turns, moving_target_tracks, playback
 from pinposture.viz.meshcat import add_moving_targets
-from pinposture.viz.palette import MAX_PLACES, group_alike, shown_places
+from pinposture.viz.palette import NAMED_PLACES, group_alike, shown_places
 
 pytestmark = pytest.mark.filterwarnings("ignore:dt is .* long for a control cycle")
 
@@ -46,7 +46,7 @@ def test_each_configuration_is_seen_when_it_was(steps, dt, fps, most):
     shown = playback(motion, fps, most)
     assert (shown.rows[0], shown.rows[-1]) == (0, steps)
     assert len(shown.rows) <= most
-    seconds = shown.times / shown.fps - REST_BEFORE
+    seconds = shown.times / shown.fps - PLAYBACK.rest_before
     np.testing.assert_allclose(seconds * shown.speedup, dt * shown.rows, atol=1e-9)
     assert np.all(np.diff(shown.rows) >= 1)
     # As smooth as asked for, where that many configurations are there and allowed.
@@ -178,9 +178,9 @@ def test_lines_without_a_direction_still_have_hoops_that_can_be_drawn(case):
 def test_of_many_places_the_first_the_last_and_some_between_are_shown():
     motion = some_motion(names=tuple(f"place {k}" for k in range(31)))
     places = shown_places(motion)
-    assert len(places) == MAX_PLACES
+    assert len(places) == NAMED_PLACES.most
     assert (places[0].name, places[-1].name) == ("place 0", "place 30")
-    assert len({place.color for place in places}) == MAX_PLACES
+    assert len({place.color for place in places}) == NAMED_PLACES.most
 
 
 def test_places_that_were_not_reached_are_left_out_and_long_names_keep_both_ends():

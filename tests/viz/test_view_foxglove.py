@@ -289,8 +289,8 @@ def test_what_is_shown_is_what_was_given_then(arm: pp.Arm, watch: Any) -> None:
 def test_runs_and_motions_are_played_until_a_configuration_is_shown(
     watch: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("REST_BEFORE", "REST_AFTER", "MIN_DURATION"):
-        monkeypatch.setattr(drawing, name, 0.1)
+    short = drawing.PLAYBACK._replace(rest_before=0.1, rest_after=0.1, shortest=0.1)
+    monkeypatch.setattr(drawing, "PLAYBACK", short)
     arm = pp.Arm.from_template("Rz", modules=3)
     run = pp.track(arm, pp.Target.from_configuration(arm, [0.4, -0.3, 0.2]), arm.straight())
     viewer, client = watch(arm, run, fps=100.0)

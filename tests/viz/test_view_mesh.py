@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pinposture.viz.body import SIDES, TriangleMesh, ball, disc, merge, tube
+from pinposture.viz.body import FINENESS, TriangleMesh, ball, disc, merge, tube
 
 
 def volume(mesh: TriangleMesh) -> float:
@@ -33,7 +33,7 @@ def test_a_ball_is_closed_and_faces_outwards():
 def test_a_plate_holds_the_volume_of_a_prism():
     axis = np.array([2.0, -1.0, 2.0]) / 3.0
     mesh = disc(np.array([5.0, 0.0, 1.0]), axis, 0.4, 0.1)
-    polygon = SIDES / 2.0 * 0.4**2 * np.sin(2.0 * np.pi / SIDES)
+    polygon = FINENESS.sides / 2.0 * 0.4**2 * np.sin(2.0 * np.pi / FINENESS.sides)
     assert volume(mesh) == pytest.approx(polygon * 0.1)
     np.testing.assert_allclose(np.abs((mesh.vertices - [5.0, 0.0, 1.0]) @ axis), 0.05)
 
@@ -54,7 +54,7 @@ PATHS = {
 @pytest.mark.parametrize("name", PATHS)
 def test_a_bar_keeps_its_radius_along_its_path(name):
     path = PATHS[name]
-    rings = tube(path, 0.05).vertices.reshape(len(path), SIDES, 3)
+    rings = tube(path, 0.05).vertices.reshape(len(path), FINENESS.sides, 3)
     np.testing.assert_allclose(np.linalg.norm(rings - path[:, None], axis=2), 0.05, rtol=1e-9)
     np.testing.assert_allclose(rings.mean(axis=1), path, atol=1e-12)
 
@@ -64,13 +64,13 @@ def test_a_bar_faces_outwards_and_does_not_twist(name):
     path = PATHS[name]
     mesh = tube(path, 0.05)
     across, middle = normals(mesh)
-    ring = mesh.faces.min(axis=1) // SIDES
+    ring = mesh.faces.min(axis=1) // FINENESS.sides
     legs = np.diff(path, axis=0)[ring]
     outwards = middle - path[ring]
     outwards -= legs * (np.einsum("ij,ij->i", outwards, legs) / np.einsum("ij,ij->i", legs, legs))[:, None]
     assert np.all(np.einsum("ij,ij->i", across, outwards) > 0.0)
     # A twisted bar has corners that run across it instead of along it.
-    rings = mesh.vertices.reshape(len(path), SIDES, 3)
+    rings = mesh.vertices.reshape(len(path), FINENESS.sides, 3)
     lengths = np.linalg.norm(np.diff(rings, axis=0), axis=2)
     assert np.all(np.abs(lengths - np.linalg.norm(np.diff(path, axis=0), axis=1)[:, None]) <= 0.1001)
 

@@ -23,8 +23,7 @@ from viz.obstacle_scenes import QUARTER, SOLIDS
 import pinposture as pp
 from pinposture.viz import palette, plot_postures
 from pinposture.viz.body import (
-    CYLINDER_SIDES,
-    MAX_SHOWN,
+    FINENESS,
     box_corners,
     clip_to_box,
     cut_by_plane,
@@ -38,7 +37,7 @@ from pinposture.viz.palette import THEME
 
 STAGE = box_corners(np.array([0.0, -0.4, -0.3]), np.array([0.8, 0.4, 0.5]))
 FLOOR = pp.HalfSpace((0.0, 0.0, -0.45), (0, 0, 1))
-SAGITTA = 1.0 - np.cos(np.pi / CYLINDER_SIDES)  # how far a side of a polygon is inside of its circle
+SAGITTA = 1.0 - np.cos(np.pi / FINENESS.obstacle_sides)  # how far a side of a polygon is inside of its circle
 
 
 @pytest.fixture(scope="session")
@@ -210,15 +209,15 @@ def test_scans_and_hollow_meshes_are_drawn_as_they_are(name, arm, tmp_path):
 
 
 def test_large_scans_are_thinned_before_they_are_drawn():
-    points = np.random.default_rng(0).uniform(size=(3 * MAX_SHOWN, 3))
-    assert len(surface(pp.Scan(points)).vertices) <= 24 * MAX_SHOWN
+    points = np.random.default_rng(0).uniform(size=(3 * FINENESS.points, 3))
+    assert len(surface(pp.Scan(points)).vertices) <= 24 * FINENESS.points
     grid = np.linspace(0, 1, 200)
     wave = np.array([(x, y, 0.1 * np.sin(9 * x)) for x in grid for y in grid])
     at = np.arange(200 * 200).reshape(200, 200)
     faces = np.stack([at[:-1, :-1], at[1:, :-1], at[:-1, 1:]], axis=-1).reshape(-1, 3)
     for large in (pp.Scan(wave, faces), pp.Mesh(wave, faces=faces)):
         shown = surface(large)
-        assert len(shown.faces) > 100 and len(shown.vertices) <= MAX_SHOWN
+        assert len(shown.faces) > 100 and len(shown.vertices) <= FINENESS.points
         np.testing.assert_allclose(np.ptp(shown.vertices, axis=0), (1, 1, 0.2), atol=0.03)
 
 

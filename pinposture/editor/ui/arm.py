@@ -42,7 +42,7 @@ from pinposture.viz.arm_figure import LOADS, load_levels
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius
 from pinposture.viz.palette import THEME
-from pinposture.viz.postures import MIN_ELLIPSOID_RADIUS, drawn_length, principal_frame
+from pinposture.viz.postures import POSTURES, drawn_length, principal_frame
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
@@ -222,7 +222,7 @@ class Ellipsoids:
         self.points = tuple(range(arm.n_modules - 1, -1, -every))[::-1]
         count = len(self.points)
         self._length = drawn_length(arm, self.points)
-        self._thinnest = MIN_ELLIPSOID_RADIUS * link_radius(arm)
+        self._thinnest = POSTURES.least_ellipsoid * link_radius(arm)
         self._steps = -1
         self._balls = server.scene.add_batched_meshes_simple(
             "/ellipsoids",

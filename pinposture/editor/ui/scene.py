@@ -45,7 +45,7 @@ from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.body import TriangleMesh as Surface
 from pinposture.viz.body import surface
-from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
+from pinposture.viz.drawing import DRAWING, link_radius
 from pinposture.viz.palette import THEME
 
 
@@ -303,7 +303,7 @@ class Obstacles:
         listed = obstacles.obstacles_of(session.shown)
         for name in [name for name in self._drawn if name not in listed]:
             self._drawn.pop(name).handle.remove()
-        opacity = THEME.sheer if len(listed) > MANY_OBSTACLES else THEME.see_through
+        opacity = THEME.sheer if len(listed) > DRAWING.many_obstacles else THEME.see_through
         for name, obstacle in listed.items():
             self._draw(name, obstacle, opacity, name == session.obstacle)
         # Either a control point of the curve is selected, or an obstacle.
