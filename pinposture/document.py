@@ -31,6 +31,7 @@ from pinposture.toml import Usual, lines_of_toml
 # Text parsed into plain data.
 
 SUFFIXES = (".toml", ".json")
+"""Suffixes of task files and other documents."""
 
 MAX_NESTING = 20
 """Largest depth of nested tables and lists; three times that of a task file."""

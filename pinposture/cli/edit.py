@@ -25,8 +25,6 @@ BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Numbers of threads of linear algebra libraries, 1 by default: the matrices are small, and threads that wait
 for each other slow down the other parts of the editor."""
 
-SUFFIXES = (".toml", ".json")
-"""Suffixes of task files."""
 
 ENDING = ("SIGTERM", "SIGHUP")
 """Signals that end the editor like Ctrl-C, after the last changes are written."""
@@ -146,6 +144,7 @@ def read_task(
     Raises:
         PostureError: no such file or template, or as in `Task.load` and `Arm.load`.
     """
+    from pinposture.document import SUFFIXES
     from pinposture.editor.files import recover, version_of
     from pinposture.task import Task
 

@@ -188,9 +188,21 @@ NO_PAIR = -1
 _WITH_RADIUS = (SEGMENT, PIECE, INSIDE)
 """Kinds of obstacles whose radius counts apart from the primitive."""
 
-CONTACTS_PER_SAMPLE = 32  # initial buffer size for near pairs, per configuration
-MAX_PARTS = 8  # maximum number of parts into which a motion is divided at once
-OPEN_SAMPLES = 1000  # initial buffer size for samples of pairs without a closed form
+
+class DistanceBuffers(NamedTuple):
+    """Initial sizes of buffers, and how finely motions are divided at once."""
+
+    contacts: int = 32
+    """Near pairs per configuration."""
+
+    open_samples: int = 1000
+    """Samples of pairs without a closed form."""
+
+    parts: int = 8
+    """Largest number of parts into which a motion is divided at once."""
+
+
+BUFFERS = DistanceBuffers()
 
 
 class NearPairs(NamedTuple):
@@ -242,7 +254,7 @@ def _divide_samples(samples: Array, room: Array, tolerance: float, spread: float
         spread: 2, or 1 if the bounds have already been doubled.
     """
     moved = spread * samples[:, 4]
-    counts = np.clip(np.ceil(moved / np.maximum(room, tolerance)), 2, MAX_PARTS).astype(np.int64)
+    counts = np.clip(np.ceil(moved / np.maximum(room, tolerance)), 2, BUFFERS.parts).astype(np.int64)
     parts = np.repeat(samples, counts, axis=0)
     numbers = np.concatenate([np.arange(0), *(np.arange(k) for k in counts)])
     each = np.repeat(counts, counts)
@@ -470,7 +482,7 @@ class PairDistances:
             Infinity and `NO_PAIR` if no pair comes nearer than `search.below`.
         """
         positions, others = kinematics.positions(q, offsets)
-        room = OPEN_SAMPLES * bool(self._open)
+        room = BUFFERS.open_samples * bool(self._open)
         while True:
             samples = np.empty((room, 6))
             best, pair, count = kernels.smallest_distance_on_motions(
@@ -533,7 +545,7 @@ class PairDistances:
         """
         positions, others = kinematics.positions(q, offsets)
         minima = np.empty(len(positions))
-        room = CONTACTS_PER_SAMPLE * len(positions)
+        room = BUFFERS.contacts * len(positions)
         while True:
             found = Contacts(
                 samples=np.empty(room, dtype=np.int64),

@@ -41,14 +41,25 @@ MAX_MODELS = 16
 MAX_PREPARED = 500_000
 """Number of points of scans whose geometries are made in advance; 200,000 take 0.4 s and 110 MB."""
 
-MAX_LISTED_PAIRS = 4
-"""Maximum number of pairs that a warning lists."""
 
-RANDOM_POSTURES = 40
-"""Number of random postures tried before a pair counts as never able to keep the margin."""
+class PairSelection(NamedTuple):
+    """Which pairs of bodies a collision model leaves out."""
 
-MARGINS_APART = 2.0
-"""Pairs of bodies nearer than this many margins in the straight or neutral posture are excluded."""
+    margins_apart: float = 2.0
+    """Pairs of bodies nearer than this many margins in the straight or neutral posture are left out."""
+
+    random_postures: int = 40
+    """Number of random postures tried before a pair counts as never able to keep the margin."""
+
+    stationary: float = 1e-9
+    """Motion below which a point counts as stationary, in arm lengths."""
+
+    listed: int = 4
+    """Largest number of pairs that a warning lists."""
+
+
+PAIRS = PairSelection()
+
 
 ALWAYS_CLOSE = "within the margin however the arm bends"
 ALWAYS_OVERLAPPING = "overlapping in every posture"
@@ -62,8 +73,6 @@ OPEN_MOTION = 5e-3
 """Error allowed in the smallest distance on a motion, and initial motion between samples of pairs that need
 coal, both in arm lengths."""
 
-STATIONARY = 1e-9
-"""Distance below which a point counts as stationary, in arm lengths."""
 
 _NEGLIGIBLE = 1e-9
 
@@ -122,7 +131,7 @@ def stationary_ends(objects: CollisionObjects) -> list[tuple[int, Array]]:
     for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
         rotations, positions = (each[0, joints] for each in objects.kinematics.place(q))
         found.append(ends @ rotations.swapaxes(1, 2) + positions[:, None])
-    still = np.ptp(found, axis=0).max(axis=2) <= STATIONARY * arm.length  # (bodies, 2)
+    still = np.ptp(found, axis=0).max(axis=2) <= PAIRS.stationary * arm.length  # (bodies, 2)
     return [(int(body), found[0][body, end]) for body, end in np.argwhere(still & (joints > 0)[:, None])]
 
 
@@ -175,7 +184,7 @@ def _choose_pairs(objects: CollisionObjects, scene: Scene) -> tuple[list[IndexPa
     near = objects.distances(own)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
-        limit = MARGINS_APART * scene.margin + STATIONARY * arm.length
+        limit = PAIRS.margins_apart * scene.margin + PAIRS.stationary * arm.length
         found = near.near(objects.kinematics.place(q), limit).pairs
         touching |= {(int(near.first[k]), int(near.second[k])) for k in found}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
@@ -194,7 +203,7 @@ def _always_close(objects: CollisionObjects, pairs: Sequence[IndexPair], margin:
     left = list(pairs)
     distances = objects.distances(left)
     count = len(objects.joints)
-    for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(RANDOM_POSTURES))):
+    for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(PAIRS.random_postures))):
         if not left:
             break
         found = np.sort(distances.near(objects.kinematics.place(q), margin).pairs)
@@ -545,7 +554,7 @@ class CollisionModel:
                 f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == reason
             ]
             if pairs:
-                warn_caller(f"{enumerated(pairs, MAX_LISTED_PAIRS)}: {reason}; {so}")
+                warn_caller(f"{enumerated(pairs, PAIRS.listed)}: {reason}; {so}")
 
     def nearest(self, state: ArmState, within: float) -> Distances:
         """Return the pairs nearer than a distance, and the derivatives of their distances.

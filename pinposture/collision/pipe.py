@@ -19,19 +19,31 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-WALL_TOLERANCE = 0.008
-"""Maximum deviation of a wall from the pipe radius in a bend, relative to that radius."""
 
-SAMPLES_PER_RADIUS = 50  # number of samples of the axis per pipe radius
+class PipeSettings(NamedTuple):
+    """How walls of pipes are made."""
+
+    wall_tolerance: float = 0.008
+    """Largest deviation of a wall from the radius of the pipe in a bend, relative to that radius."""
+
+    samples_per_radius: int = 50
+    """Number of samples of the axis per radius of the pipe."""
+
+    points_per_bend_radius: int = 50
+    """Number of points of the axis per radius of the sharpest bend."""
+
+    largest_radius: float = 0.9
+    """Largest radius of a pipe in a bend, relative to the radius of the bend."""
+
+    fewest_sides: int = 6
+    """Smallest number of sides; with fewer, the overlap of rings at their corners would narrow a bend."""
+
+
+PIPE = PipeSettings()
+
 
 PIPE_MARGIN = 0.005
 """Default distance that the arm keeps from the walls [m]."""
-
-MIN_SIDES = 6
-"""Minimum number of sides; with fewer, the overlap of rings at their corners would narrow a bend."""
-
-MAX_RADIUS = 0.9  # maximum radius of a pipe in a bend, relative to the bend radius
-POINTS_PER_BEND_RADIUS = 50  # number of points of the axis per radius of the sharpest bend
 
 
 class Bend(NamedTuple):
@@ -71,7 +83,7 @@ def pipe_axis(runs: Sequence[float], bends: Sequence[Bend | tuple[float, ...]]) 
         if not (0.0 < angle <= 2.0 * np.pi and np.isfinite(roll)):
             allowed = "an angle above 0, at most 2 pi, and a finite roll [rad]"
             raise InvalidValue(f"bends[{i}]", listed[i], allowed)
-    step = min([bend.radius for bend in listed], default=sum(lengths)) / POINTS_PER_BEND_RADIUS
+    step = min([bend.radius for bend in listed], default=sum(lengths)) / PIPE.points_per_bend_radius
     turn = np.eye(3)
     points = [np.zeros((1, 3))]
     for run, bend in zip(lengths, [*listed, None], strict=True):
@@ -140,17 +152,17 @@ def pipe_walls(path: Curve, radius: float, sides: int = 6, thickness: float = 0.
     require_instance("path", path, Curve, "a Curve")
     radius = length("radius", radius)
     thickness = length("thickness", thickness)
-    require_whole("sides", sides, MIN_SIDES)
-    s = np.linspace(0.0, path.length, int(np.ceil(SAMPLES_PER_RADIUS * path.length / radius)) + 1)
+    require_whole("sides", sides, PIPE.fewest_sides)
+    s = np.linspace(0.0, path.length, int(np.ceil(PIPE.samples_per_radius * path.length / radius)) + 1)
     tightest = float(np.max(path.curvature(s)))
-    if radius * tightest > MAX_RADIUS:
+    if radius * tightest > PIPE.largest_radius:
         bend = f"where the axis bends with a radius of {length_text(1.0 / tightest)}"
-        raise InvalidValue("radius", radius, f"at most {MAX_RADIUS / tightest:.4g} m, {bend}")
+        raise InvalidValue("radius", radius, f"at most {PIPE.largest_radius / tightest:.4g} m, {bend}")
     axis = path.at(s)
     normals = _side_normals(path.tangent(s), sides)
     return {
         f"pipe {number + 1}.{side + 1}": _wall(axis[ring], normals[ring], side, radius, thickness)
-        for number, ring in enumerate(_rings(axis[:, None] + radius * normals, WALL_TOLERANCE * radius))
+        for number, ring in enumerate(_rings(axis[:, None] + radius * normals, PIPE.wall_tolerance * radius))
         for side in range(sides)
     }
 
@@ -214,7 +226,7 @@ def _wall(axis: Array, normals: Array, side: int, radius: float, thickness: floa
     height = 0.5 * float(heights.max() + heights.min())
     corners = [axis + (radius + thickness) * corner for corner in _corners(normals, side)]
     ends = np.concatenate([inner[[0, -1]], *(corner[[0, -1]] for corner in corners)]) - inner[0]
-    extra = WALL_TOLERANCE * radius * np.array([-1.0, 1.0])  # against gaps due to rounding error
+    extra = PIPE.wall_tolerance * radius * np.array([-1.0, 1.0])  # against gaps due to rounding error
     first, last = np.array([np.min(ends @ along), np.max(ends @ along)]) + extra
     right, left = np.array([np.min(ends @ across), np.max(ends @ across)]) + extra
     middle = 0.5 * (first + last) * along + 0.5 * (right + left) * across

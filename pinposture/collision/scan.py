@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,20 +35,41 @@ logger = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 
 MAX_SCAN_SIZE = 5_000_000  # maximum number of points, and of triangles, of a scan
-_MIN_FILL = 0.8  # fraction of the requested points below which smaller cubes are tried
-_MAX_TRIALS = 12
-_MAX_CUBES = 2**20  # maximum number of cubes along an axis, so that three indices fit into one integer
 
-NEIGHBOURS = 8
-"""Other points that a point must have around it: about its immediate neighbours on a surface, and more than
-there are flying pixels together."""
 
-SUSPECT_RATIO = 5.0
-"""Distance to the eighth neighbour, over its median, above which a point looks like an outlier. Even samples
-of surfaces, 5,000 to 200,000 points, stay below 2.3, and those of a wire below 3.9. Of 200,000 points that a
-scanner sees from within a room, 3 % are farther apart."""
+class ThinningSettings(NamedTuple):
+    """How cubes are found that leave about as many points as asked for."""
 
-_SAMPLE = 10_000  # points of which the median is taken
+    least_fill: float = 0.8
+    """Share of the requested points below which smaller cubes are tried."""
+
+    trials: int = 12
+    """Largest number of sizes that are tried."""
+
+    most_cubes: int = 2**20
+    """Largest number of cubes along an axis, so that three indices fit into one integer."""
+
+
+THINNING = ThinningSettings()
+
+
+class OutlierSettings(NamedTuple):
+    """Which points of a scan look like outliers."""
+
+    neighbours: int = 8
+    """Other points that a point must have around it: about its immediate neighbours on a surface, and more
+    than there are flying pixels together."""
+
+    suspect_ratio: float = 5.0
+    """Distance to the eighth neighbour, over its median, above which a point looks like an outlier. Even
+    samples of surfaces, 5,000 to 200,000 points, stay below 2.3, and those of a wire below 3.9. Of 200,000
+    points that a scanner sees from within a room, 3 % are farther apart."""
+
+    sample: int = 10_000
+    """Number of points of which the median is taken."""
+
+
+OUTLIERS = OutlierSettings()
 
 
 def _points(name: str, values: ArrayLike) -> Array:
@@ -92,9 +113,9 @@ def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArra
         return best
     # On a surface, the number of occupied cubes grows with the square of the number along an edge.
     least = 0.5
-    most = float(_MAX_CUBES)
-    cells = min(np.sqrt(count), _MAX_CUBES)
-    for _ in range(_MAX_TRIALS):
+    most = float(THINNING.most_cubes)
+    cells = min(np.sqrt(count), THINNING.most_cubes)
+    for _ in range(THINNING.trials):
         found = _in_cubes(points, low, width, cells)
         if len(found[0]) > count:
             most = cells
@@ -102,7 +123,7 @@ def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArra
             least = cells
             if len(found[0]) > len(best[0]):
                 best = found
-            if len(best[0]) >= _MIN_FILL * count:
+            if len(best[0]) >= THINNING.least_fill * count:
                 break
         guess = cells * np.sqrt(0.9 * count / len(found[0]))
         cells = guess if least < guess < most else (least + most) / 2.0
@@ -126,7 +147,7 @@ def _in_cubes(
     points: Array, low: Array, width: float, cells: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the index of the first point in each cube of edge `width / cells`, and each point's cube."""
-    at = np.minimum((points - low) * (cells / width), _MAX_CUBES).astype(np.int64)
+    at = np.minimum((points - low) * (cells / width), THINNING.most_cubes).astype(np.int64)
     keys = (at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2]
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     return first, inverse.reshape(-1)
@@ -153,16 +174,17 @@ def suspect_distance(points: Array) -> float:
     It is 0 for fewer than nine points.
     """
     distinct = np.unique(points, axis=0)
-    if len(distinct) <= NEIGHBOURS:
+    if len(distinct) <= OUTLIERS.neighbours:
         return 0.0
-    chosen = distinct[:: max(1, len(distinct) // _SAMPLE)]
-    distance = SUSPECT_RATIO * float(np.median(_reach(chosen, cKDTree(distinct), np.inf)))
+    chosen = distinct[:: max(1, len(distinct) // OUTLIERS.sample)]
+    distance = OUTLIERS.suspect_ratio * float(np.median(_reach(chosen, cKDTree(distinct), np.inf)))
     return float(f"{distance:.2g}")
 
 
 def _reach(points: Array, tree: cKDTree, most: float) -> Array:
     """Return the distance of points of a tree to the eighth neighbour, (n,) [m]; infinite beyond `most`."""
-    distances, _ = tree.query(points, k=[NEIGHBOURS + 1], distance_upper_bound=np.nextafter(most, np.inf))
+    bound = np.nextafter(most, np.inf)
+    distances, _ = tree.query(points, k=[OUTLIERS.neighbours + 1], distance_upper_bound=bound)
     return np.asarray(distances[:, 0])
 
 

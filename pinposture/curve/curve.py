@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -346,7 +346,7 @@ class Curve(Geometry):
             except CurveError:  # its velocity vanishes, as for a closed curve with few points
                 continue
             # Few samples suffice to reject it, which is the most frequent case.
-            apart = float(found.nearest(self.resample(MIN_SAMPLES)).distance.max())
+            apart = float(found.nearest(self.resample(COMPARISON.fewest)).distance.max())
             if apart <= near:
                 apart = deviation(self, found)
                 if apart <= near:
@@ -506,12 +506,23 @@ def _coordinate(field: str) -> float | None:
 Array = NDArray[np.float64]
 
 MAX_CONTROL_POINTS = 1000
-MIN_SAMPLES = 400
-"""Minimum number of samples for comparing a curve with another."""
-SAMPLES_PER_POINT = 20
-"""Minimum number of samples per control point of the other curve."""
-SAMPLES_PER_SPAN = 2
-"""Minimum number of samples per knot span of the curve, so that no winding is missed."""
+
+
+class ComparisonSamples(NamedTuple):
+    """Samples for comparing a curve with another, at least."""
+
+    fewest: int = 400
+    """Number of samples."""
+
+    per_point: int = 20
+    """Number of samples per control point of the other curve."""
+
+    per_span: int = 2
+    """Number of samples per knot span of the curve, so that no winding is missed."""
+
+
+COMPARISON = ComparisonSamples()
+
 
 _SPANS_PER_TURN = 256  # gives a torsion error of 1.2e-7 for a quintic
 _KNOT_TOLERANCE = 1e-12  # deviation from uniform knots, relative to the whole range
@@ -609,7 +620,7 @@ def deviation(curve: Geometry, other: Geometry) -> float:
 def _samples(curve: Geometry, count: int) -> int:
     """Return the number of samples for comparing a curve with one of `count` control points."""
     spans = len(curve.coefficients) - curve.degree
-    return max(MIN_SAMPLES, SAMPLES_PER_POINT * count, SAMPLES_PER_SPAN * spans) + 1
+    return max(COMPARISON.fewest, COMPARISON.per_point * count, COMPARISON.per_span * spans) + 1
 
 
 def _fit(basis: csr_array, places: Array) -> tuple[Array, float]:
