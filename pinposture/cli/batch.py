@@ -28,7 +28,7 @@ from pinposture.cli.inputs import (
     read_option,
 )
 from pinposture.cli.output import (
-    BATCH,
+    FILES,
     check_directory,
     count_progress,
     end_with,
@@ -110,7 +110,8 @@ def run(
             keep="ends" if output_options.ends_only or output is None else "motions",
             progress=progress,
         )
-    files, failure = write_files([] if output is None else [("file", output / BATCH, partial(save, batch))])
+    saved = [] if output is None else [("file", output / FILES.batch, partial(save, batch))]
+    files, failure = write_files(saved)
     starts = starts_options.starts
     seed = starts_options.seed
     asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed}
@@ -177,7 +178,9 @@ class BatchOutput:
 
     output: Annotated[
         Path | None,
-        OUTPUT(f"Save all runs here, in {BATCH}; otherwise nothing is saved.", "DIR", flags="--output -o"),
+        OUTPUT(
+            f"Save all runs here, in {FILES.batch}; otherwise nothing is saved.", "DIR", flags="--output -o"
+        ),
     ] = None
     ends_only: Annotated[
         bool, OUTPUT("Save only how each run ended, not the motions.", flags="--ends-only")

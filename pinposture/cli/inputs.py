@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from pinposture.cli.output import MOTION_FILE, RUN_FILE, print_note
+from pinposture.cli.output import FILES, print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName
 from pinposture.storage import decode_xml, parse_json, read_text
 
@@ -73,7 +73,7 @@ UrdfArgument = Annotated[
 RunArgument = Annotated[
     Path,
     typer.Argument(
-        metavar="RUN", help=f"A saved run or motion, or the directory of its {MOTION_FILE} or {RUN_FILE}."
+        metavar="RUN", help=f"A saved run or motion, or the directory of its {FILES.motion} or {FILES.run}."
     ),
 ]
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
@@ -292,17 +292,40 @@ def words_of(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     return words
 
 
-RUN_FILE = "run.npz"
-PLOT = "run.png"
-ANIMATION = "run.html"
+class FileNames(NamedTuple):
+    """Names of the files of results in a directory."""
 
-STATUS = "status.json"
-"""File with the state of the last `pinposture run` in a directory."""
+    run: str = "run.npz"
+    """A run."""
 
-BATCH = "batch.npz"
-"""File with all runs of a batch in a directory."""
+    plot: str = "run.png"
+    """Its figure."""
 
-MOTION_FILE = "motion.npz"
+    animation: str = "run.html"
+    """Its animation."""
+
+    batch: str = "batch.npz"
+    """All runs of a batch."""
+
+    motion: str = "motion.npz"
+    """The motion of a task."""
+
+    status: str = "status.json"
+    """The state of the last `pinposture run`."""
+
+    postures: str = "postures.png"
+    """The figure of the postures that `pinposture reach` finds."""
+
+    simulation: str = "simulation.npz"
+    """A simulation."""
+
+    simulated: str = "simulation.png"
+    """Its figure."""
+
+
+FILES = FileNames()
+
+
 FORMATS = ("npz", "csv", "json", "png", "html")
 """Formats of a saved motion: complete, joints as a table and for ROS, plot, animation."""
 
@@ -315,9 +338,9 @@ def run_files(motion: Run, directory: Path) -> list[File]:
     from pinposture.motion import save
 
     return [
-        ("plot", directory / PLOT, partial(write_plot, motion)),
-        ("animation", directory / ANIMATION, partial(write_animation, motion)),
-        ("run", directory / RUN_FILE, partial(save, motion)),  # last: if it exists, its pictures do, too
+        ("plot", directory / FILES.plot, partial(write_plot, motion)),
+        ("animation", directory / FILES.animation, partial(write_animation, motion)),
+        ("run", directory / FILES.run, partial(save, motion)),  # last: if it exists, its pictures do, too
     ]
 
 
@@ -340,7 +363,7 @@ def motion_files(motion: Trajectory, directory: Path, formats: Sequence[str] = F
         "csv": lambda path: save(motion.joint_trajectory(), path),
         "npz": partial(save, motion),  # last: if it exists, the others do, too
     }
-    stem = directory / MOTION_FILE
+    stem = directory / FILES.motion
     return [
         (kind, stem.with_suffix(f".{kind}"), write)
         for kind, write in writers.items()
@@ -362,11 +385,11 @@ def find_kept(path: Path) -> tuple[Path, str]:
 
     if not path.is_dir():
         return path, ""
-    named = [path / name for name in (MOTION_FILE, RUN_FILE)]
+    named = [path / name for name in (FILES.motion, FILES.run)]
     found = [file for file in named if kind_of(file) in (Run, Trajectory)]  # not a joint trajectory
     status = read_status(path)
     if status.get("state") == "failed":
-        ended = modification_time(path / STATUS)
+        ended = modification_time(path / FILES.status)
         older = [file for file in found if modification_time(file) <= ended]
         if older == found:
             why = f"the run of {status.get('task')} failed: {status.get('reason')}"
@@ -374,10 +397,10 @@ def find_kept(path: Path) -> tuple[Path, str]:
             raise FileError(path, f"{why}; correct it and run it again{also}")
         found = [file for file in found if file not in older]
     if not found:
-        for name in (RUN_FILE, BATCH):
+        for name in (FILES.run, FILES.batch):
             if (path / name).exists():
                 return path / name, ""  # the reader will report what is wrong with it
-        raise FileError(path / RUN_FILE, f"no such file, and no {MOTION_FILE} that contains a motion")
+        raise FileError(path / FILES.run, f"no such file, and no {FILES.motion} that contains a motion")
     newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
     return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""
 
@@ -385,7 +408,7 @@ def find_kept(path: Path) -> tuple[Path, str]:
 def read_status(directory: Path) -> dict[str, Any]:
     """Return the contents of the status file of a directory; empty if it has none that can be read."""
     try:
-        status = json.loads((directory / STATUS).read_text(encoding="utf-8"))
+        status = json.loads((directory / FILES.status).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
     return status if isinstance(status, dict) else {}

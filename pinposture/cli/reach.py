@@ -24,6 +24,7 @@ from pinposture.cli.inputs import (
     read_option,
 )
 from pinposture.cli.output import (
+    FILES,
     File,
     check_directory,
     end_with,
@@ -45,9 +46,6 @@ if TYPE_CHECKING:
     from pinposture.arm import Arm
     from pinposture.collision import Scene
     from pinposture.control.reach import ReachedPosture
-
-PICTURE = "postures.png"
-"""File name of the picture of all postures."""
 
 
 @examples(
@@ -128,7 +126,7 @@ def run(
             text = json.dumps(each.q.tolist()) + "\n"
             files.append((f"{number}", output / f"posture_{number}.json", partial(write_text, text=text)))
         picture = _draw(arm, found, np.asarray(goal.position), surroundings)
-        files.append(("picture", output / PICTURE, partial(write_figure, figure=picture)))
+        files.append(("picture", output / FILES.postures, partial(write_figure, figure=picture)))
         if first is not None and not blocked_by:
             files += run_files(track(arm, found[0].target, first, scene=surroundings), output)
     written, failure = write_files(files)

@@ -14,7 +14,7 @@ import typer
 
 from pinposture.cli.inputs import MOTION, OUTPUT, JsonOption, ViewOption, read_changes
 from pinposture.cli.output import (
-    STATUS,
+    FILES,
     check_directory,
     count_progress,
     end_with,
@@ -75,7 +75,7 @@ class Folder:
             failed = status.get("state") == "failed"
             ended = f"failed ({status.get('reason')})" if failed else "was not finished"
             said += f"a run of {status.get('task')}, begun {status.get('begun')}, that {ended}"
-            since = modification_time(self.path / STATUS)
+            since = modification_time(self.path / FILES.status)
             new = [each for each in results if modification_time(each) >= since]
             said += f"; it left {_listed(new)}"
             if len(new) < len(results):
@@ -122,7 +122,7 @@ class Folder:
 
     def _write(self, **more: Any) -> None:
         status = {"task": self.task, "begun": self._begun, **more}
-        write_text(self.path / STATUS, json.dumps(status, indent=1) + "\n")
+        write_text(self.path / FILES.status, json.dumps(status, indent=1) + "\n")
 
 
 def _listed(files: list[Path]) -> str:

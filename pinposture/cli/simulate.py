@@ -23,8 +23,7 @@ from pinposture.cli.inputs import (
     refuse_given,
 )
 from pinposture.cli.output import (
-    MOTION_FILE,
-    RUN_FILE,
+    FILES,
     File,
     check_directory,
     count_progress,
@@ -46,9 +45,6 @@ if TYPE_CHECKING:
     from pinposture.motion import JointTrajectory, Run, Trajectory
     from pinposture.sim import ContactModel, Servos, Simulation
 
-SIMULATION = "simulation.npz"
-PICTURE = "simulation.png"
-
 
 @examples(
     "pinposture simulate out --dt 0.02 -o sim",
@@ -62,7 +58,7 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, the directory of its {MOTION_FILE} or {RUN_FILE}, or a joint "
+            help=f"A saved run or motion, the directory of its {FILES.motion} or {FILES.run}, or a joint "
             "trajectory (.csv, .json, .npz).",
         ),
     ],
@@ -72,7 +68,11 @@ def run(
     scene: SceneOption = None,
     output: Annotated[
         Path | None,
-        OUTPUT(f"Save {SIMULATION} and {PICTURE} here; otherwise nothing is saved.", "DIR", "--output -o"),
+        OUTPUT(
+            f"Save {FILES.simulation} and {FILES.simulated} here; otherwise nothing is saved.",
+            "DIR",
+            "--output -o",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -219,8 +219,9 @@ def simulation_files(simulation: Simulation, directory: Path) -> list[File]:
     from pinposture.viz.simulation import plot_simulation
 
     return [
-        ("plot", directory / PICTURE, lambda path: write_figure(path, plot_simulation(simulation))),
-        ("simulation", directory / SIMULATION, partial(save, simulation)),  # last: if it exists, both do
+        ("plot", directory / FILES.simulated, lambda path: write_figure(path, plot_simulation(simulation))),
+        # The last: if it exists, both do.
+        ("simulation", directory / FILES.simulation, partial(save, simulation)),
     ]
 
 

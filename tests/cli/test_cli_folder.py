@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from pinposture.cli.output import STATUS
+from pinposture.cli.output import FILES
 from pinposture.cli.run import Folder
 from pinposture.errors import FileError
 from pinposture.storage import write_text
 
 
 def status(path: Path) -> dict[str, object]:
-    return json.loads((path / STATUS).read_text())
+    return json.loads((path / FILES.status).read_text())
 
 
 def run(path: Path, *files: str, finish: bool = True, task: str = "old.toml") -> None:
@@ -50,7 +50,7 @@ def test_of_an_empty_directory_nothing_is_said(tmp_path: Path, there: bool) -> N
         (path / "notes.txt").write_text("mine")
     folder = Folder(path, "task.toml")
     assert folder.found() == ""
-    assert not (path / STATUS).exists()  # nothing is written before it begins
+    assert not (path / FILES.status).exists()  # nothing is written before it begins
 
 
 def test_a_status_while_it_runs_and_when_it_is_finished(tmp_path: Path) -> None:
@@ -114,14 +114,19 @@ def test_results_that_have_no_successor_go_when_the_new_ones_are_there(tmp_path:
     run(tmp_path, "motion.npz", finish=False, task="killed.toml")
     assert (tmp_path / "motion.html").exists()
     run(tmp_path, "motion.npz", "motion.csv", task="new.toml")
-    assert {each.name for each in tmp_path.iterdir()} == {"motion.npz", "motion.csv", "motion.txt", STATUS}
+    assert {each.name for each in tmp_path.iterdir()} == {
+        "motion.npz",
+        "motion.csv",
+        "motion.txt",
+        FILES.status,
+    }
 
 
 def test_a_status_cannot_name_files_elsewhere(tmp_path: Path) -> None:
     path = tmp_path / "out"
     path.mkdir()
     (tmp_path / "motion.npz").write_text("mine")
-    (path / STATUS).write_text(
+    (path / FILES.status).write_text(
         json.dumps({"state": "finished", "files": ["../motion.npz", 3, None], "before": 7})
     )
     run(path)
@@ -132,7 +137,7 @@ def test_a_status_cannot_name_files_elsewhere(tmp_path: Path) -> None:
     "text", ["", "{", "[]", "3", "null", "\0", "[" * 100_000, '{"state": 7, "files": {}}']
 )
 def test_a_status_that_is_none_does_no_harm(tmp_path: Path, text: str) -> None:
-    (tmp_path / STATUS).write_text(text)
+    (tmp_path / FILES.status).write_text(text)
     folder = Folder(tmp_path, "task.toml")
     assert "\n" not in folder.found()
     folder.begin()
@@ -147,7 +152,7 @@ def test_directories_that_cannot_be_written_are_refused(
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(FileError, match="is a file; allowed: a directory"):
             Folder(path, "task.toml")
-    (tmp_path / STATUS).mkdir()
+    (tmp_path / FILES.status).mkdir()
     with pytest.raises(FileError, match="is a directory"):
         Folder(tmp_path, "task.toml").begin()
     monkeypatch.setattr(os, "access", lambda *_: False)  # who is root may write anywhere
@@ -158,7 +163,7 @@ def test_directories_that_cannot_be_written_are_refused(
 def test_why_it_failed_is_not_lost_where_it_cannot_be_written(tmp_path: Path) -> None:
     folder = Folder(tmp_path / "out", "task.toml")
     folder.begin()
-    (tmp_path / "out" / STATUS).unlink()
+    (tmp_path / "out" / FILES.status).unlink()
     (tmp_path / "out").rmdir()
     (tmp_path / "out").touch()
     folder.fail("no way")  # says nothing of its own
