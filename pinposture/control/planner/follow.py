@@ -200,6 +200,12 @@ class PathProgress(NamedTuple):
         away = kernels.joint_distance(self.expected, state.raw_positions, chain.endless, chain.columns, units)
         return away <= MAX_DEVIATION
 
+    def can_stop(self, state: ChainState) -> bool:
+        """Whether an arm that moves on a path timed within torque limits can stop on it."""
+        if self.timed.torques is None or self.arrived or not self.speed > 0.0 or self.path.blocked_by:
+            return False
+        return self.path.arm is state.arm and _is_expected(self, state)
+
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return this progress on another path with as many waypoints, or within other limits."""
         timed = timed_again(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
@@ -263,6 +269,18 @@ class GeodesicMemory(Memory):
 
     progress: PathProgress | None = None
     goal: Goal | None = None
+
+    def braked(self, limits: Limits, state: ArmState) -> GeodesicMemory:
+        """Return the memory after a braking step: on the path, if that keeps torques within their limits."""
+        known = self.progress
+        chain_state = state.chain_state
+        bounds = limits.for_arm(state.arm)
+        if known is not None and known.can_stop(chain_state):
+            avoidance = Avoidance.of(known.path.scene, known.objective, bounds, self.dq)
+            box = bounds.box(chain_state, self.dq)
+            step = stop_on_path(known, chain_state, bounds, box, avoidance)
+            return replace(cast(GeodesicMemory, step.memory), goal=self.goal)
+        return super().braked(limits, state)
 
 
 def follow(
@@ -580,6 +598,31 @@ def _turned(arm: Arm, change: Array) -> Array:
     """Return displacements (nv,) reduced by whole turns of joints that can make them."""
     turns = np.rint(change / (2.0 * np.pi)) * (arm.kinematics.endless | arm.multi_turn)
     return np.asarray(change - 2.0 * np.pi * turns)
+
+
+def stop_on_path(
+    progress: PathProgress, state: ChainState, bounds: JointBounds, box: StepBox, avoidance: Avoidance | None
+) -> Step:
+    """Take a step that brakes on a path as much as its limits of torque and acceleration allow.
+
+    Args:
+        progress: position of an arm that can stop on its path, `PathProgress.can_stop`.
+        state: the state of the arm.
+        bounds: the limits of the joints.
+        box: the steps that they allow.
+        avoidance: the obstacles to avoid, and constraints; None: none.
+    """
+    timed = progress.timed
+    path = timed.path
+    arrays = timed.arrays
+    none = np.zeros_like(arrays.top)  # a profile that asks for no speed
+    speed = kernels.next_path_speed(
+        progress.place, progress.speed, arrays.small, arrays.most, arrays.rows, none, len(path.offsets) - 1
+    )
+    place = progress.place + max(speed, 0.0)
+    dq = np.array(path.smooth_offset(place) - path.smooth_offset(progress.place))
+    moved = progress.moved_to(place, bounds.travel, hindered=False)
+    return _check_step(CandidateStep(dq, moved), state, bounds, box, avoidance, progress)
 
 
 class CandidateStep(NamedTuple):

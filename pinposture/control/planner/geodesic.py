@@ -27,6 +27,7 @@ from pinposture.control.planner.follow import (
     fast_step,
     pursue,
     step_to_goal,
+    stop_on_path,
 )
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
 from pinposture.control.planner.path import JointPath, TimedPath, timed_again
@@ -468,6 +469,19 @@ def _back_out(now: _Situation) -> Step | None:
     return _step_before_planning(state, now.target, cleared.dq, violated, "", cleared.stopping)
 
 
+def _stop_on_path(now: _Situation) -> Step | None:
+    """Brake on the path of a target that has jumped, where torques keep their limits; then plan."""
+    before = now.before
+    if before is None or before.timed.torques is None or before.timed.scheduled:
+        return None
+    if before.objective.target is now.target or not before.can_stop(now.state):
+        return None
+    if is_small_change(before.objective, now.objective):
+        return None
+    step = stop_on_path(before, now.state, now.bounds, now.box, now.avoidance(before))
+    return now.remember_goal(step)
+
+
 def _follow_path(now: _Situation) -> Step:
     """Take a step along a path, planning it first if needed."""
     controller = now.controller
@@ -510,6 +524,9 @@ MODES = (
     Mode("pursue the goal", "acceleration limits, and a goal nearby that moves steadily", _pursue_goal),
     Mode("return into limits", "a joint is outside its position limits", _return_into_limits),
     Mode("back out", "the arm is in collision before there is a path", _back_out),
+    Mode(
+        "stop on the path", "torque limits, and the target has jumped; the arm plans at rest", _stop_on_path
+    ),
     Mode("follow a path", "in all other cases; plans, bends or retimes the path first", _follow_path),
 )
 """The modes of a step, in order: the first that returns a step makes it. See docs/design/modes.md."""
