@@ -17,6 +17,11 @@ from pinposture.errors import InvalidValue
 Array = NDArray[np.float64]
 
 
+LINEARISED = 1e-3
+"""Share of a torque limit that is kept for the terms of second order of a step. Without it, the torques of 60
+runs of `benchmarks.studies.torque_limits` exceeded their limits by up to a ten-thousandth."""
+
+
 class Overload(NamedTuple):
     """What the motors lack to hold an arm still.
 
@@ -111,6 +116,55 @@ class TorqueLimits:
         helpless = bool(np.any(over & (lift == 0.0)))
         mass = max(0.0, float(least.max(initial=0.0)))
         return None if helpless or mass > float(most.min(initial=np.inf)) else mass
+
+
+class StepTorques:
+    """The torques of an arm where its next step meets the last one, by inverse dynamics.
+
+    They are those of the mean speed of both steps and of the acceleration from one to the other.
+
+    Args:
+        arm: the arm.
+        effort: its torque limits, (nv,) [N m or N].
+        dt: duration of a step [s].
+        positions: joint positions, (nv,) [rad or m].
+        previous: the last step, (nv,) [rad or m]; None: the arm was at rest.
+    """
+
+    def __init__(self, arm: Arm, effort: Array, dt: float, positions: Array, previous: Array | None) -> None:
+        self._arm = arm
+        self._effort = effort
+        self._dt = dt
+        self._positions = positions
+        self._previous = np.zeros(arm.nv) if previous is None else previous
+
+    def of(self, dq: Array) -> Array:
+        """Return the torques of a step dq (nv,), (nv,) [N m or N]."""
+        speed = (self._previous + dq) / (2.0 * self._dt)
+        change = (dq - self._previous) / self._dt**2
+        torques = self._arm.dynamics.inverse_dynamics(self._positions[None], speed[None], change[None])
+        return np.asarray(torques[0])
+
+    def keep_limits(self, dq: Array) -> bool:
+        """Check whether the torques of a step dq (nv,) are within their limits."""
+        return not np.any(np.abs(self.of(dq)) > self._effort)
+
+    def sides(self, dq: Array) -> tuple[Array, Array]:
+        """Return the limits of the torques of steps near dq (nv,), as shares of the limits.
+
+        Returns:
+            matrix: (2 r, nv).
+            least: smallest value of each row times the step, (2 r,).
+        """
+        nv = len(dq)
+        at = np.repeat(self._positions[None], nv + 1, axis=0)
+        accelerations = np.vstack([np.zeros(nv), np.eye(nv)])
+        found = self._arm.dynamics.inverse_dynamics(at, np.zeros((nv + 1, nv)), accelerations)
+        limited = np.isfinite(self._effort)
+        effort = (1.0 - LINEARISED) * self._effort[limited]
+        masses = (found[1:] - found[0]).T[limited] / (effort[:, None] * self._dt**2)
+        rest = self.of(dq)[limited] / effort - masses @ dq
+        return np.vstack([masses, -masses]), np.concatenate([-1.0 - rest, rest - 1.0])
 
 
 def find_overload(arm: Arm, q: Array, limits: Limits) -> Overload | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from functools import cache, cached_property
+from functools import cache, cached_property, reduce
 from typing import NamedTuple
 
 import daqp
@@ -46,6 +46,10 @@ class ConstraintRows(NamedTuple):
 
     matrix: Array
     least: Array
+
+    def joined(self, other: ConstraintRows) -> ConstraintRows:
+        """Return both together."""
+        return ConstraintRows(np.vstack([self.matrix, other.matrix]), np.append(self.least, other.least))
 
     def normal(self) -> ConstraintRows:
         """Return the same constraints with rows of length 1."""
@@ -379,10 +383,9 @@ class Avoidance:
         if self.constrained:
             parts.append(self._constraint_rows(state, lower, upper))
         found = [part for part in parts if part is not None]
-        if len(found) <= 1:
-            return found[0] if found else None
-        matrix = np.vstack([part.matrix for part in found])
-        return ConstraintRows(matrix, np.concatenate([part.least for part in found]))
+        if not found:
+            return None
+        return reduce(ConstraintRows.joined, found)
 
     def _constraint_rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows:
         """Return the rows of constraints: none loses more than a share of its room, as pairs of clearance."""

@@ -277,9 +277,10 @@ class GeodesicMemory(Memory):
         bounds = limits.for_arm(state.arm)
         if known is not None and known.can_stop(chain_state):
             avoidance = Avoidance.of(known.path.scene, known.objective, bounds, self.dq)
-            box = bounds.box(chain_state, self.dq)
-            step = stop_on_path(known, chain_state, bounds, box, avoidance)
-            return replace(cast(GeodesicMemory, step.memory), goal=self.goal)
+            if avoidance is None or avoidance.still:
+                box = bounds.box(chain_state, self.dq)
+                step = stop_on_path(known, chain_state, bounds, box, avoidance)
+                return replace(cast(GeodesicMemory, step.memory), goal=self.goal)
         return super().braked(limits, state)
 
 
@@ -622,7 +623,7 @@ def stop_on_path(
     place = progress.place + max(speed, 0.0)
     dq = np.array(path.smooth_offset(place) - path.smooth_offset(progress.place))
     moved = progress.moved_to(place, bounds.travel, hindered=False)
-    return _check_step(CandidateStep(dq, moved), state, bounds, box, avoidance, progress)
+    return check_step(CandidateStep(dq, moved), state, bounds, box, avoidance, progress)
 
 
 class CandidateStep(NamedTuple):
@@ -657,7 +658,7 @@ def advance(
         candidate = reduce_remaining(progress, StepBounds.of(progress.objective, state, box, avoidance))
     else:
         candidate = step_along(progress, state, box, bounds, avoidance)
-    return _check_step(candidate, state, bounds, box, avoidance, progress)
+    return check_step(candidate, state, bounds, box, avoidance, progress)
 
 
 TASK_DEVIATION = 0.1
@@ -916,7 +917,7 @@ def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
     return words
 
 
-def _check_step(
+def check_step(
     candidate: CandidateStep,
     state: ChainState,
     bounds: JointBounds,

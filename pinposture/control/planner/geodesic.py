@@ -16,14 +16,16 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits, stopping_steps
-from pinposture.control.planner.avoidance import Avoidance, ClearStep
+from pinposture.control.planner.avoidance import Avoidance, ClearStep, ConstraintRows, solve
 from pinposture.control.planner.damped_least_squares import PlanningProblem, StepBounds, solve_posture
 from pinposture.control.planner.follow import (
     MAX_DEVIATION,
+    CandidateStep,
     GeodesicMemory,
     Goal,
     PathProgress,
     advance,
+    check_step,
     fast_step,
     pursue,
     step_to_goal,
@@ -40,7 +42,7 @@ from pinposture.control.planner.plan import (
     shortcut,
 )
 from pinposture.control.tasks import ControlTask
-from pinposture.control.torque_limits import TorqueLimits
+from pinposture.control.torque_limits import StepTorques, TorqueLimits
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
@@ -49,6 +51,9 @@ Array = NDArray[np.float64]
 MAX_IDLE_TRAVEL = 1.0
 MAX_PATH_ATTEMPTS = 3
 """Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
+
+TORQUE_ITERATIONS = 2
+"""How often a step within torque limits is computed, with velocities first as before it, then as in it."""
 
 MIN_CLEARANCE_GAIN = 1e-4
 """Gain in clearance of a step out of an obstacle below which a path is planned, in arm lengths."""
@@ -367,13 +372,31 @@ class _Situation:
         after = here + np.cumsum(np.vstack([step.dq, rest]), axis=0)
         if TorqueLimits(arm, effort).violations(after).max() > 0.0:
             return None
+        return step if self.moves(step) else None
+
+    @cached_property
+    def torques(self) -> StepTorques | None:
+        """The torques of the step; None if they are not limited, or without a cycle time."""
+        effort = self.bounds.effort
         dt = self.bounds.dt
-        if dt is not None:
-            before = np.zeros(arm.nv) if self.previous is None else self.previous
-            rows = (here[None], (before + step.dq)[None] / (2.0 * dt), (step.dq - before)[None] / dt**2)
-            if np.any(np.abs(arm.dynamics.inverse_dynamics(*rows)) > effort):
-                return None
-        return step
+        if effort is None or dt is None:
+            return None
+        return StepTorques(self.state.arm, effort, dt, self.state.raw_positions, self.previous)
+
+    def moves(self, step: Step) -> bool:
+        """Whether the motors have the torques of a step."""
+        return self.torques is None or self.torques.keep_limits(step.dq)
+
+    @cached_property
+    def stopping(self) -> Step | None:
+        """The step that brakes on the former path; None if the arm cannot, or has to evade obstacles."""
+        before = self.before
+        if before is None or not before.can_stop(self.state):
+            return None
+        avoidance = self.avoidance(before)
+        if avoidance is not None and not avoidance.still:
+            return None
+        return stop_on_path(before, self.state, self.bounds, self.box, avoidance)
 
     def remember_goal(self, step: Step) -> Step:
         """Return a step whose memory has the goal, too, so that the next step knows how it moves."""
@@ -403,7 +426,8 @@ def _continue_path(now: _Situation) -> Step | None:
             return None  # it may move; see `pursue`
         if np.any(goal.motion):
             goal = goal._replace(motion=np.zeros(now.state.arm.nv))
-    return fast_step(before, now.state, now.bounds, now.previous, goal, avoidance)
+    step = fast_step(before, now.state, now.bounds, now.previous, goal, avoidance)
+    return None if step is None or not now.moves(step) else step
 
 
 def _go_to_goal(now: _Situation) -> Step | None:
@@ -474,12 +498,10 @@ def _stop_on_path(now: _Situation) -> Step | None:
     before = now.before
     if before is None or before.timed.torques is None or before.timed.scheduled:
         return None
-    if before.objective.target is now.target or not before.can_stop(now.state):
+    if before.objective.target is now.target or is_small_change(before.objective, now.objective):
         return None
-    if is_small_change(before.objective, now.objective):
-        return None
-    step = stop_on_path(before, now.state, now.bounds, now.box, now.avoidance(before))
-    return now.remember_goal(step)
+    step = now.stopping
+    return None if step is None else now.remember_goal(step)
 
 
 def _follow_path(now: _Situation) -> Step:
@@ -493,13 +515,46 @@ def _follow_path(now: _Situation) -> Step:
     avoidance = now.avoidance(progress)
     if progress is not before and (avoidance is None or avoidance.still):
         step = fast_step(progress, state, now.bounds, now.previous, avoidance=avoidance)
-        if step is not None:
+        if step is not None and now.moves(step):
             return now.remember_goal(step)
     step = advance(progress, state, now.bounds, now.box, avoidance)
+    if not now.moves(step):
+        step = _within_torques(now, progress, step)
     at_rest = now.previous is None or not np.any(now.previous)
     if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
         step = _explain_collision(step, avoidance, state)
     return now.remember_goal(step)
+
+
+def _within_torques(now: _Situation, progress: PathProgress, step: Step) -> Step:
+    """Return a step within torque limits in place of one along a path that exceeds them.
+
+    On the former path the arm can slow down. Else it takes the step closest to the other that torques,
+    obstacles and constraints allow; what is left is for the report.
+    """
+    if now.stopping is not None and now.moves(now.stopping):
+        return now.stopping
+    torques = now.torques
+    objective = progress.objective
+    avoidance = Avoidance.of(now.controller.scene, objective, now.bounds, now.previous, now.controller.offset)
+    bounds = StepBounds.of(objective, now.state, now.box, avoidance)
+    dq = step.dq
+    for _ in range(TORQUE_ITERATIONS):
+        matrix, least = cast(StepTorques, torques).sides(dq)
+        limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
+        found = solve(
+            np.eye(len(bounds.lower)),
+            -objective.normalize(step.dq),
+            bounds.lower,
+            bounds.upper,
+            limits if bounds.rows is None else limits.joined(bounds.rows),
+        )
+        if found.x is None:
+            return step
+        dq = objective.displacement(found.x)
+    moved = cast(GeodesicMemory, step.memory).progress
+    candidate = CandidateStep(dq, progress if moved is None else moved, found)
+    return check_step(candidate, now.state, now.bounds, now.box, avoidance, progress)
 
 
 class Mode(NamedTuple):
