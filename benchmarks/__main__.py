@@ -40,6 +40,7 @@ SCRIPTS = (
     "soak",
     "switching",
     "thesis_claims",
+    "torque_limits",
     "touch",
     "wrap",
 )

@@ -147,7 +147,7 @@ class StepTorques:
 
     def keep_limits(self, dq: Array) -> bool:
         """Check whether the torques of a step dq (nv,) are within their limits."""
-        return not np.any(np.abs(self.of(dq)) > self._effort)
+        return bool((np.abs(self.of(dq)) <= self._effort).all())
 
     def sides(self, dq: Array) -> tuple[Array, Array]:
         """Return the limits of the torques of steps near dq (nv,), as shares of the limits.

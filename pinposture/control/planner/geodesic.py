@@ -80,7 +80,8 @@ class Geodesic:
     If the constraints are infeasible, they are relaxed in this order, and `Step.violated_constraints`
     names them: tasks and posture, by their weights, tasks with priority last; then the margin to obstacles,
     which the next steps restore as far as possible; then acceleration limits, if braking would cause a
-    collision, and position limits, as in `Limits.box`. Velocity limits always hold.
+    collision, and position limits, as in `Limits.box`. Velocity limits always hold. The torques of a step
+    (not those at rest, which count as constraints) yield before the margin to obstacles.
 
     Attributes:
         joint_weight: weight of joint motion relative to control point motion: the distance, in module
