@@ -149,6 +149,16 @@ class StepTorques:
         """Check whether the torques of a step dq (nv,) are within their limits."""
         return bool((np.abs(self.of(dq)) <= self._effort).all())
 
+    @cached_property
+    def masses(self) -> Array:
+        """The mass matrix, with armature, (nv, nv)."""
+        nv = self._arm.nv
+        at = np.repeat(self._positions[None], nv + 1, axis=0)
+        accelerations = np.vstack([np.zeros(nv), np.eye(nv)])
+        found = self._arm.dynamics.inverse_dynamics(at, np.zeros((nv + 1, nv)), accelerations)
+        masses = found[1:] - found[0]
+        return np.asarray(0.5 * (masses + masses.T))
+
     def sides(self, dq: Array) -> tuple[Array, Array]:
         """Return the limits of the torques of steps near dq (nv,), as shares of the limits.
 
@@ -156,13 +166,9 @@ class StepTorques:
             matrix: (2 r, nv).
             least: smallest value of each row times the step, (2 r,).
         """
-        nv = len(dq)
-        at = np.repeat(self._positions[None], nv + 1, axis=0)
-        accelerations = np.vstack([np.zeros(nv), np.eye(nv)])
-        found = self._arm.dynamics.inverse_dynamics(at, np.zeros((nv + 1, nv)), accelerations)
         limited = np.isfinite(self._effort)
         effort = (1.0 - LINEARISED) * self._effort[limited]
-        masses = (found[1:] - found[0]).T[limited] / (effort[:, None] * self._dt**2)
+        masses = self.masses[limited] / (effort[:, None] * self._dt**2)
         rest = self.of(dq)[limited] / effort - masses @ dq
         return np.vstack([masses, -masses]), np.concatenate([-1.0 - rest, rest - 1.0])
 

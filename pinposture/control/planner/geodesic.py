@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import finite_array
 from pinposture.arm import Arm, ArmState, ChainState
+from pinposture.arm.weight import scaled
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
@@ -51,6 +52,11 @@ Array = NDArray[np.float64]
 MAX_IDLE_TRAVEL = 1.0
 MAX_PATH_ATTEMPTS = 3
 """Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
+
+LEAST_MASS = 1e-4
+"""Mass that counts beside that of the arm where a step is kept within torque limits, relative to the mean of the
+joints: enough for a positive definite matrix, far less than the last joint of the arms of
+`benchmarks.studies.torque_limits` moves."""
 
 TORQUE_ITERATIONS = 2
 """How often a step within torque limits is computed, with velocities first as before it, then as in it."""
@@ -531,21 +537,28 @@ def _within_torques(now: _Situation, progress: PathProgress, step: Step) -> Step
     """Return a step within torque limits in place of one along a path that exceeds them.
 
     On the former path the arm can slow down. Else it takes the step closest to the other that torques,
-    obstacles and constraints allow; what is left is for the report.
+    obstacles and constraints allow, measured by the kinetic energy of the difference, so that a joint whose
+    torque is within its limit is not thrown to relieve another. If that is farther away than going on at the
+    same speed, as where holding the arm takes all of a torque, the arm would swing: the other step stays,
+    and the excess is for the report.
     """
     if now.stopping is not None and now.moves(now.stopping):
         return now.stopping
-    torques = now.torques
     objective = progress.objective
     avoidance = Avoidance.of(now.controller.scene, objective, now.bounds, now.previous, now.controller.offset)
     bounds = StepBounds.of(objective, now.state, now.box, avoidance)
+    torques = cast(StepTorques, now.torques)
+    chosen = np.ix_(objective.columns, objective.columns)
+    hessian = scaled(torques.masses[chosen], objective.units)
+    hessian += LEAST_MASS * float(np.trace(hessian)) / len(hessian) * np.eye(len(hessian))
+    gradient = -hessian @ objective.normalize(step.dq)
     dq = step.dq
     for _ in range(TORQUE_ITERATIONS):
-        matrix, least = cast(StepTorques, torques).sides(dq)
+        matrix, least = torques.sides(dq)
         limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
         found = solve(
-            np.eye(len(bounds.lower)),
-            -objective.normalize(step.dq),
+            hessian,
+            gradient,
             bounds.lower,
             bounds.upper,
             limits if bounds.rows is None else limits.joined(bounds.rows),
@@ -553,6 +566,10 @@ def _within_torques(now: _Situation, progress: PathProgress, step: Step) -> Step
         if found.x is None:
             return step
         dq = objective.displacement(found.x)
+    change = objective.normalize(step.dq if now.previous is None else step.dq - now.previous)
+    missed = objective.normalize(dq - step.dq)
+    if missed @ hessian @ missed > change @ hessian @ change:
+        return step
     moved = cast(GeodesicMemory, step.memory).progress
     candidate = CandidateStep(dq, progress if moved is None else moved, found)
     return check_step(candidate, now.state, now.bounds, now.box, avoidance, progress)
