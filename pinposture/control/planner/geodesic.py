@@ -54,9 +54,8 @@ MAX_PATH_ATTEMPTS = 3
 """Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
 
 LEAST_MASS = 1e-4
-"""Mass that counts beside that of the arm where a step is kept within torque limits, relative to the mean of the
-joints: enough for a positive definite matrix, far less than the last joint of the arms of
-`benchmarks.studies.torque_limits` moves."""
+"""Mass that counts beside that of the arm where a step is kept within torque limits, relative to the mean of
+the joints: enough for a matrix that is positive definite in spite of rounding."""
 
 TORQUE_ITERATIONS = 2
 """How often a step within torque limits is computed, with velocities first as before it, then as in it."""
