@@ -28,11 +28,11 @@ from pinposture.viz.palette import THEME
 from pinposture.viz.panels import (
     format_run_axes,
     mark_projection,
-    places_of,
     plot_point_count,
     plot_point_errors,
     plot_points_and_index,
     plot_posture_error,
+    run_axis,
 )
 from pinposture.viz.postures import PosturePanel, draw_intermediate_postures, draw_runs
 
@@ -259,10 +259,10 @@ def plot_used_points(run: Run, ax: Axes, color: str | None = None) -> None:
     steps, points = np.nonzero(run.active)
     style: dict[str, Any] = {"ls": "none", "marker": "o", "mew": 0.0}
     style["ms"] = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
-    places = places_of(run)
-    ax.plot(places[steps + 1], points + 1, color=color, **style)
+    x = run_axis(run)
+    ax.plot(x[steps + 1], points + 1, color=color, **style)
     format_run_axes(ax, run, "control point, from base to tip")
-    ax.set_xlim(0.0, (places[-1] + places[min(1, run.steps)]) or 1.0)
+    ax.set_xlim(0.0, (x[-1] + x[min(1, run.steps)]) or 1.0)
     ax.set_ylim(0.0, run.arm.n_modules + 1.0)
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 

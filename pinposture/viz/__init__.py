@@ -66,7 +66,7 @@ def view(
     names the meshes that are not drawn.
 
     A motion in time plays in real time, or 2, 5, 10, ... times as fast if it takes longer than a minute.
-    Hoops show the current targets of its control points, thin lines the targets at named places.
+    Hoops show the current targets of its control points, thin lines the targets at waypoints.
 
     Args:
         arm: the arm.

@@ -216,16 +216,18 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
         add(viewer, f"{ROOT}/target/points", merge(dots), THEME.target)
 
 
-def add_moving_targets(viewer: Visualizer, motion: Trajectory, places: Sequence[palette.Place]) -> None:
-    """Draw the targets at the start of a motion, and thin lines through the targets at named places."""
+def add_moving_targets(
+    viewer: Visualizer, motion: Trajectory, waypoints: Sequence[palette.WaypointMark]
+) -> None:
+    """Draw the targets at the start of a motion, and thin lines through the targets at waypoints."""
     arm = motion.arm
     radius = drawing.link_radius(motion.arm)
-    for number, place in enumerate(places, start=1):
-        points = motion.targets[place.row][motion.target_mask[place.row]]
+    for number, waypoint in enumerate(waypoints, start=1):
+        points = motion.targets[waypoint.row][motion.target_mask[waypoint.row]]
         line = without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
         if len(line) > 1:
             path = f"{ROOT}/target/place_{number:03d}"
-            add(viewer, path, tube(line, SIZES.line * radius), place.color)
+            add(viewer, path, tube(line, SIZES.line * radius), waypoint.color)
     around = 2.0 * np.pi * np.arange(SIZES.hoop_sides + 1) / SIZES.hoop_sides
     circle = np.stack([np.cos(around), np.sin(around), np.zeros(SIZES.hoop_sides + 1)], axis=1)
     hoop = tube(SIZES.hoop * SIZES.point * radius * circle, SIZES.wire * SIZES.point * radius)
@@ -317,12 +319,12 @@ class DrawnScene(NamedTuple):
     Attributes:
         tracks: the animation; empty if there is nothing to play.
         obstacles: whether there are obstacles.
-        places: the drawn named places of a motion, grouped if they look alike.
+        waypoints: the drawn waypoints of a motion, grouped if they look alike.
     """
 
     tracks: list[Track]
     obstacles: bool
-    places: list[list[palette.Place]]
+    waypoints: list[list[palette.WaypointMark]]
 
 
 def draw_scene(
@@ -347,24 +349,24 @@ def draw_scene(
     run, motion = (None, None) if shown is None else (shown.run, shown.motion)
     ellipsoids = ellipsoid_motion(arm, points, rows)
     seen = np.vstack([drawing.scene_points(arm, run, target), axis_ends(ellipsoids)])
-    places: list[list[palette.Place]] = []
+    waypoints: list[list[palette.WaypointMark]] = []
     if motion is not None:
         seen = np.vstack([seen, motion.targets[motion.target_mask]])
-        places = palette.group_alike(motion, palette.shown_places(motion))
+        waypoints = palette.group_alike(motion, palette.shown_waypoints(motion))
     obstacles = drawing.shown_obstacles(scene, seen)
     set_camera(viewer, arm, np.vstack([seen, drawing.shown_corners(obstacles)]))
     add_arm(viewer, arm, rows[0])
     if target is not None:
         add_target(viewer, arm, target)
     if motion is not None:
-        add_moving_targets(viewer, motion, [group[0] for group in places])
+        add_moving_targets(viewer, motion, [group[0] for group in waypoints])
     add_obstacles(viewer, obstacles)
     add_ellipsoids(viewer, ellipsoids)
     moving: list[Track] = []
     if shown is not None:
         moving = [*drawing.arm_tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
         moving += [] if motion is None else drawing.moving_target_tracks(motion, shown)
-    return DrawnScene(moving, bool(obstacles), places)
+    return DrawnScene(moving, bool(obstacles), waypoints)
 
 
 class FrameLimits(NamedTuple):
@@ -518,7 +520,7 @@ def _motion_text(motion: Trajectory, row: int) -> str:
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
     if motion.slowdown:
         text += f" ({motion.plan_time[row]:.2f} of {motion.planned:.2f} s of the plan)"
-    count = sum(place.row is not None and place.row <= row for place in motion.waypoints)
+    count = sum(waypoint.row is not None and waypoint.row <= row for waypoint in motion.waypoints)
     if row < motion.start_index:
         text += ", moving to the first posture"
     elif count:
@@ -554,7 +556,9 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
     lines = [_color_key(entries)]
     if shown.motion is not None:
         speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as recorded"
-        named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
+        named = [
+            (", ".join(waypoint.name for waypoint in group), group[0].color) for group in drawn.waypoints
+        ]
         lines.append(f"shown {speed}; targets at {_color_key(named)}" if named else f"shown {speed}")
     moved = palette.placement_text(shown.run if shown.motion is None else shown.motion)
     if moved:
@@ -619,7 +623,7 @@ def animate(
 
     The run plays in a loop; the mouse rotates, pans and zooms. Active control points are coloured and large.
     Obstacles are translucent; a half-space is drawn as a plate. A motion in time plays as in `view`. Its
-    caption names the places that it has reached.
+    caption names the waypoints that it has reached.
 
     Args:
         arm: the arm.

@@ -290,16 +290,16 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
     """
     low, high = ax.get_ylim()
     below = value <= low  # a logarithmic axis cannot show 0
-    place = (x, 0.0 if below else value)
+    at = (x, 0.0 if below else value)
     scale = ax.get_xaxis_transform() if below else ax.transData
-    ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale, gid=VALUE)
+    ax.plot(*at, marker="o", ms=4, color=color, clip_on=False, zorder=5, transform=scale, gid=VALUE)
     ax.set_ylim(low, high)
-    styles = {"start": (7, 4, "left", "bottom"), "least": _beside(ax, place)}
+    styles = {"start": (7, 4, "left", "bottom"), "least": _beside(ax, at)}
     styles["end"] = (6, 4, "left", "bottom") if below else (6, 0, "left", "center")
     right, up, ha, va = styles[where]
     ax.annotate(
         BELOW_ROUNDING if abs(value) < floor else length_text(value),
-        place,
+        at,
         xycoords=scale,
         xytext=(right, up),
         textcoords="offset points",
@@ -313,9 +313,9 @@ def mark_value(ax: Axes, x: float, value: float, color: str, where: str, floor: 
     )
 
 
-def _beside(ax: Axes, place: tuple[float, float]) -> tuple[int, int, str, str]:
+def _beside(ax: Axes, at: tuple[float, float]) -> tuple[int, int, str, str]:
     """Return offset [pt] and alignment of a text above a point, or where it stays inside the axes."""
-    along, high = ax.transAxes.inverted().transform(ax.transData.transform(place))
+    along, high = ax.transAxes.inverted().transform(ax.transData.transform(at))
     up, va = (-8, "top") if high > 1.0 - FIGURE.edge else (8, "bottom")
     if along < FIGURE.edge:
         return 4, up, "left", va
@@ -391,7 +391,9 @@ LAP = re.compile(r", lap \d+$")  # in the name of a keyframe of a repeated tour
 def placement_text(run: Run | Trajectory) -> str:
     """Describe how curves were moved from their original placement; empty if none was moved."""
     if isinstance(run, Trajectory):
-        placed = (f"{LAP.sub('', place.name)} {place.moved}" for place in run.waypoints if place.moved)
+        placed = (
+            f"{LAP.sub('', waypoint.name)} {waypoint.moved}" for waypoint in run.waypoints if waypoint.moved
+        )
         moved = dict.fromkeys(placed)  # once for all laps
         return f"curves: {', '.join(moved)}" if moved else ""
     return f"curve {run.target.moved} to the base of the arm" if run.target.moved else ""
@@ -462,29 +464,29 @@ def limits_text(run: Run) -> str:
     return f"limits: {', '.join(found) or 'joint positions only'}"
 
 
-class PlaceSettings(NamedTuple):
-    """Which places of a motion a figure names."""
+class WaypointMarkSettings(NamedTuple):
+    """Which waypoints of a motion a figure names."""
 
     most: int = 8
-    """Largest number of places in a figure."""
+    """Largest number of waypoints in a figure."""
 
     longest_name: int = 22
-    """Length of the name of a place, at most [characters]."""
+    """Length of the name of a waypoint, at most [characters]."""
 
     same_posture: float = 1e-4
     """Distance of control points below which postures look the same, in arm lengths."""
 
 
-NAMED_PLACES = PlaceSettings()
+WAYPOINT_MARKS = WaypointMarkSettings()
 
 
-class Place(NamedTuple):
-    """A named place that a motion reached.
+class WaypointMark(NamedTuple):
+    """A waypoint that a motion reached.
 
     Attributes:
         name: its name, shortened.
         row: row of the motion at which the arm reached it.
-        color: pale for an early place, dark for a late one.
+        color: pale for an early waypoint, dark for a late one.
     """
 
     name: str
@@ -492,35 +494,37 @@ class Place(NamedTuple):
     color: str
 
 
-def shown_places(motion: Trajectory) -> list[Place]:
-    """Return the places that a motion reached, in order; at most `NAMED_PLACES.most`, evenly spaced."""
-    reached = [(place.name, place.row) for place in motion.waypoints if place.row is not None]
-    if len(reached) > NAMED_PLACES.most:
-        shown = np.round(np.linspace(0, len(reached) - 1, NAMED_PLACES.most)).astype(int)
+def shown_waypoints(motion: Trajectory) -> list[WaypointMark]:
+    """Return the waypoints that a motion reached, in order; at most `WAYPOINT_MARKS.most`, evenly spaced."""
+    reached = [(waypoint.name, waypoint.row) for waypoint in motion.waypoints if waypoint.row is not None]
+    if len(reached) > WAYPOINT_MARKS.most:
+        shown = np.round(np.linspace(0, len(reached) - 1, WAYPOINT_MARKS.most)).astype(int)
         reached = [reached[k] for k in shown]
-    shares = np.linspace(1.0, 0.0, len(reached))[::-1]  # a single place counts as the last one
+    shares = np.linspace(1.0, 0.0, len(reached))[::-1]  # a single waypoint counts as the last one
     colors = [in_time(float(share)) for share in shares]
-    return [Place(_shorten(name), row, color) for (name, row), color in zip(reached, colors, strict=True)]
+    return [
+        WaypointMark(_shorten(name), row, color) for (name, row), color in zip(reached, colors, strict=True)
+    ]
 
 
-def group_alike(motion: Trajectory, places: Sequence[Place]) -> list[list[Place]]:
-    """Group places with the same posture, ordered by the first place of each group."""
+def group_alike(motion: Trajectory, waypoints: Sequence[WaypointMark]) -> list[list[WaypointMark]]:
+    """Group waypoints with the same posture, ordered by the first waypoint of each group."""
     points = motion.run.points
-    tolerance = NAMED_PLACES.same_posture * motion.arm.length
-    groups: list[list[Place]] = []
-    for place in places:
+    tolerance = WAYPOINT_MARKS.same_posture * motion.arm.length
+    groups: list[list[WaypointMark]] = []
+    for waypoint in waypoints:
         for group in groups:
-            if np.linalg.norm(points[place.row] - points[group[0].row], axis=1).max() < tolerance:
-                group.append(place)
+            if np.linalg.norm(points[waypoint.row] - points[group[0].row], axis=1).max() < tolerance:
+                group.append(waypoint)
                 break
         else:
-            groups.append([place])
+            groups.append([waypoint])
     return groups
 
 
 def _shorten(name: str) -> str:
     """Remove the middle of a long name: names may differ at either end."""
     name = " ".join(name.split())
-    if len(name) <= NAMED_PLACES.longest_name:
+    if len(name) <= WAYPOINT_MARKS.longest_name:
         return name
-    return f"{name[: NAMED_PLACES.longest_name - 11].rstrip()}...{name[-8:].lstrip()}"
+    return f"{name[: WAYPOINT_MARKS.longest_name - 11].rstrip()}...{name[-8:].lstrip()}"

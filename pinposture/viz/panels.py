@@ -32,7 +32,7 @@ from pinposture.viz.postures import (
 Array = NDArray[np.float64]
 
 
-def places_of(run: Run) -> Array:
+def run_axis(run: Run) -> Array:
     """Return where the configurations of a run are on a horizontal axis, (steps + 1,).
 
     These are times [s] if the run has a cycle time, else numbers of steps.
@@ -41,7 +41,7 @@ def places_of(run: Run) -> Array:
 
 
 def format_run_axes(ax: Axes, run: Run, label: str) -> None:
-    """Format axes over the time of a run, or over its steps if it has no cycle time; see `places_of`."""
+    """Format axes over the time of a run, or over its steps if it has no cycle time; see `run_axis`."""
     if run.limits.dt is None:
         palette.format_step_axes(ax, label)
     else:
@@ -95,7 +95,7 @@ def _plot_errors(
     colors = [palette.controller_color(run.controller) if color is None else color for run, _, color in runs]
     for (run, label, _), color in zip(runs, colors, strict=True):
         style: dict[str, Any] = {"lw": 1.8, "marker": marker(run.steps + 1), "clip_on": bool(run.steps)}
-        ax.plot(places_of(run), errors(run), color=color, label=label, **style)
+        ax.plot(run_axis(run), errors(run), color=color, label=label, **style)
     format_run_axes(ax, runs[0][0], name)
     palette.scale_values(ax, ROUNDING * runs[0][0].arm.length)
     palette.label_lengths([ax], name)
@@ -108,9 +108,9 @@ def _plot_errors(
 
 def _mark_error(ax: Axes, run: Run, errors: Array, row: int, color: str) -> None:
     """Annotate the first or the last error [m] of a run."""
-    place = float(places_of(run)[row])
+    x = float(run_axis(run)[row])
     floor = ROUNDING * run.arm.length
-    palette.mark_value(ax, place, float(errors[row]), color, "end" if row else "start", floor)
+    palette.mark_value(ax, x, float(errors[row]), color, "end" if row else "start", floor)
 
 
 def plot_point_errors(run: Run, ax: Axes) -> None:
@@ -127,7 +127,7 @@ def plot_point_errors(run: Run, ax: Axes) -> None:
     colors, norm = palette.colors_along(m)
     style: dict[str, Any] = {"lw": 1.0, "marker": marker(run.steps + 1), "ms": 3}
     for k in targeted:
-        ax.plot(places_of(run), run.point_errors[:, k], color=colors(norm(k + 1)), **style)
+        ax.plot(run_axis(run), run.point_errors[:, k], color=colors(norm(k + 1)), **style)
     format_run_axes(ax, run, "point errors")
     palette.scale_values(ax, ROUNDING * run.arm.length)
     palette.label_lengths([ax], "point errors")
@@ -162,12 +162,12 @@ def plot_points_and_index(run: Run, ax: Axes, color: str | None = None) -> None:
         _plot_on_second_axis(run, ax, run.reported("manipulability", 0.0), "manipulability index")
 
 
-def plot_point_count(run: Run, ax: Axes, color: str | None = None, place: float = 0.0) -> None:
-    """Plot the number of active control points in each step; lines at other places lie beside each other."""
+def plot_point_count(run: Run, ax: Axes, color: str | None = None, shift: float = 0.0) -> None:
+    """Plot the number of active control points in each step; those with another shift lie beside it."""
     color = palette.controller_color(run.controller) if color is None else color
     style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker(run.steps)}
-    style["transform"] = ax.transData + ScaledTranslation(0.0, 1.6 / 72.0 * place, ax.figure.dpi_scale_trans)
-    ax.plot(places_of(run)[1:], run.active.sum(axis=1), color=color, **style)
+    style["transform"] = ax.transData + ScaledTranslation(0.0, 1.6 / 72.0 * shift, ax.figure.dpi_scale_trans)
+    ax.plot(run_axis(run)[1:], run.active.sum(axis=1), color=color, **style)
     format_run_axes(ax, run, "active control points")
     palette.scale_counts(ax, run.arm.n_modules)
 
@@ -176,7 +176,7 @@ def _plot_on_second_axis(run: Run, ax: Axes, values: Array, label: str) -> None:
     """Plot a value per step as a dashed line with its own axis on the right."""
     other = ax.twinx()
     style: dict[str, Any] = {"lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker(run.steps), "ms": 3}
-    other.plot(places_of(run)[1:], values, color=THEME.ink, **style)
+    other.plot(run_axis(run)[1:], values, color=THEME.ink, **style)
     palette.scale_values(other)
     other.set_ylabel(label, fontsize=9, color=THEME.ink)
     other.tick_params(labelsize=8)
@@ -185,13 +185,13 @@ def _plot_on_second_axis(run: Run, ax: Axes, values: Array, label: str) -> None:
 
 def mark_projection(run: Run, ax: Axes) -> None:
     """Mark the steps that a switching controller left to Projection, by red dots on the axis."""
-    places = places_of(run)[1:][run.reported("method", "") == "projection"]
-    _mark_on_axis(ax, places, "projection", marker="o", ms=3.2, mew=0.0)
+    x = run_axis(run)[1:][run.reported("method", "") == "projection"]
+    _mark_on_axis(ax, x, "projection", marker="o", ms=3.2, mew=0.0)
 
 
-def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **style: Any) -> None:
+def _mark_on_axis(ax: Axes, x: Array | NDArray[np.intp], label: str, **style: Any) -> None:
     style |= {"ls": "none", "color": THEME.mark, "label": label, "clip_on": False, "zorder": 6}
-    ax.plot(places, np.zeros(len(places)), transform=ax.get_xaxis_transform(), **style)
+    ax.plot(x, np.zeros(len(x)), transform=ax.get_xaxis_transform(), **style)
 
 
 class PanelLayout(NamedTuple):
@@ -213,10 +213,10 @@ class PanelLayout(NamedTuple):
     """Mean letter width of the names above the axes [pt]."""
 
     name_distance: float = 18.0
-    """Distance between places that get names of their own [pt]."""
+    """Distance between waypoints that get names of their own [pt]."""
 
-    fewest_places: int = 3
-    """Number of named places below which intermediate postures are shown."""
+    fewest_waypoints: int = 3
+    """Number of waypoints below which intermediate postures are shown."""
 
     most_detours: int = 2
     """Largest number of detours in a title."""
@@ -250,18 +250,18 @@ def plot_clearance(
         color: colour of the line; None: that of the controller.
         label: label of the line in a legend; None: the pair that comes closest to each other.
     """
-    places = places_of(run)
+    x = run_axis(run)
     if label is None:
         least_clearance = closest(run)
         pair = None if least_clearance is None else least_clearance["pair"]
         label = None if pair is None else f"closest: {' to '.join(pair)}"
     color = palette.controller_color(run.controller) if color is None else color
     values = np.where(np.isfinite(run.clearance), run.clearance, np.nan)
-    ax.plot(places, values, color=color, lw=1.6, label=label, marker=marker(run.steps + 1))
+    ax.plot(x, values, color=color, lw=1.6, label=label, marker=marker(run.steps + 1))
     if run.scene is not None:
         margin = f"margin to keep, {length_text(run.scene.margin)}"
         if margin not in [line.get_label() for line in ax.get_lines()]:
-            ends = [0.0, places[-1] or 1.0]
+            ends = [0.0, x[-1] or 1.0]
             ax.plot(ends, [run.scene.margin] * 2, color=THEME.ink, lw=1.0, ls=PANEL.dashes, label=margin)
     format_run_axes(ax, run, "clearance")
     palette.scale_values(ax)
@@ -274,17 +274,17 @@ def plot_clearance(
     palette.label_lengths([ax], "clearance")
     if np.isfinite(values).any():
         least = int(np.nanargmin(values))
-        palette.mark_value(ax, float(places[least]), float(values[least]), color, "least")
+        palette.mark_value(ax, float(x[least]), float(values[least]), color, "least")
     add_legend(ax)
 
 
 def mark_rising_steps(run: Run, ax: Axes) -> None:
     """Shade the steps of a run in which the controller allows the posture error to rise."""
-    places = places_of(run)
+    x = run_axis(run)
     steps = np.flatnonzero(run.error_increasing)
     if len(steps):
         blocks = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
-        ends = [(float(places[block[0]]), float(places[block[-1] + 1])) for block in blocks]
+        ends = [(float(x[block[0]]), float(x[block[-1] + 1])) for block in blocks]
         spans = [(begin, end - begin) for begin, end in ends]
         label = f"{len(steps)} step{'s' * (len(steps) > 1)} in which the error may rise"
         style: dict[str, Any] = {"color": THEME.escape, "lw": 0.0, "zorder": 0.5, "label": label}
@@ -293,13 +293,13 @@ def mark_rising_steps(run: Run, ax: Axes) -> None:
 
 def mark_violations(run: Run, ax: Axes) -> None:
     """Mark steps that violate constraints on the axis; the legend quotes the first violation."""
-    places = places_of(run)
+    x = run_axis(run)
     steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
     if len(steps):
         first = str(run.violated_constraints[steps[0]])
         words = textwrap.shorten(first, PANEL.longest_reason, placeholder=" ...")
         label = f"violated in {len(steps)} step{'s' * (len(steps) > 1)}: {words}"
-        _mark_on_axis(ax, places[steps + 1], label, marker="|", ms=7.0, mew=1.2)
+        _mark_on_axis(ax, x[steps + 1], label, marker="|", ms=7.0, mew=1.2)
 
 
 def add_legend(ax: Axes) -> None:
@@ -381,20 +381,22 @@ def plot_plan_time(motion: Trajectory, ax: Axes) -> None:
     add_legend(ax)
 
 
-def mark_places(places: Sequence[palette.Place], panels: Sequence[Axes], times: Sequence[float]) -> None:
-    """Mark the times of places [s] by lines through stacked panels, with names above the first panel."""
-    if not places:
+def mark_waypoints(
+    waypoints: Sequence[palette.WaypointMark], panels: Sequence[Axes], times: Sequence[float]
+) -> None:
+    """Mark the times of waypoints [s] by lines through stacked panels, with names above the first panel."""
+    if not waypoints:
         return
     for ax in panels:
-        for place, time in zip(places, times, strict=True):
+        for waypoint, time in zip(waypoints, times, strict=True):
             where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "zorder": 1.5, "clip_on": False}
-            ax.vlines(time, 0.0, 1.0, color=place.color, lw=1.0, **where)
+            ax.vlines(time, 0.0, 1.0, color=waypoint.color, lw=1.0, **where)
     first = panels[0]
     low, high = first.get_xlim()
     scale = 72.0 * first.bbox.width / first.figure.dpi / (high - low)  # [pt/s]
     legend = first.get_legend()
     above = 3.0 if legend is None else 72.0 * legend.get_window_extent().height / first.figure.dpi
-    names = _merge_close_names(places, [scale * time for time in times])
+    names = _merge_close_names(waypoints, [scale * time for time in times])
     slanted = any(
         (at - before) < PANEL.letter_width * (len(name) + len(other)) / 2.0 + PANEL.letter_width
         for (before, other), (at, name) in pairwise(names)
@@ -407,15 +409,15 @@ def mark_places(places: Sequence[palette.Place], panels: Sequence[Axes], times: 
 
 
 def _merge_close_names(
-    places: Sequence[palette.Place], positions: Sequence[float]
+    waypoints: Sequence[palette.WaypointMark], positions: Sequence[float]
 ) -> list[tuple[float, str]]:
     """Return positions [pt] and names to write; names that are too close are joined as far as they fit."""
     names: list[tuple[float, str]] = []
-    for place, at in zip(places, positions, strict=True):
+    for waypoint, at in zip(waypoints, positions, strict=True):
         if not names or at - names[-1][0] >= PANEL.name_distance:
-            names.append((at, place.name))
-        elif len(names[-1][1]) + len(place.name) < palette.NAMED_PLACES.longest_name:
-            names[-1] = names[-1][0], f"{names[-1][1]}, {place.name}"
+            names.append((at, waypoint.name))
+        elif len(names[-1][1]) + len(waypoint.name) < palette.WAYPOINT_MARKS.longest_name:
+            names[-1] = names[-1][0], f"{names[-1][1]}, {waypoint.name}"
     return names
 
 
@@ -431,11 +433,11 @@ def plot_motion(motion: Trajectory) -> Figure:
     if has_clearance(run):
         draws.append(lambda motion, ax: plot_clearance(motion.run, ax))
     figure, postures, rows = palette.new_figure(motion.arm, len(draws))
-    plot_places(motion, postures)
+    plot_waypoints(motion, postures)
     for draw, panel in zip(draws, rows, strict=True):
         draw(motion, panel)
-    places = palette.shown_places(motion)
-    mark_places(places, rows, [float(time[place.row]) for place in places])
+    waypoints = palette.shown_waypoints(motion)
+    mark_waypoints(waypoints, rows, [float(time[waypoint.row]) for waypoint in waypoints])
     palette.share_axis(rows)
     deviations = [f"not as planned: {text}" for text in motion.deviations[: PANEL.most_detours]]
     if len(motion.deviations) > PANEL.most_detours:
@@ -448,8 +450,8 @@ def plot_motion(motion: Trajectory) -> Figure:
     return figure
 
 
-def plot_places(motion: Trajectory, ax: Axes) -> None:
-    """Draw the postures at the named places of a motion, from pale to dark, and their targets.
+def plot_waypoints(motion: Trajectory, ax: Axes) -> None:
+    """Draw the postures at the waypoints of a motion, from pale to dark, and their targets.
 
     Raises:
         InvalidValue: plain axes for an arm that moves in space.
@@ -457,7 +459,7 @@ def plot_places(motion: Trajectory, ax: Axes) -> None:
     run = motion.run
     panel = PosturePanel(motion.arm, ax)
     color = palette.controller_color(run.controller)
-    groups = palette.group_alike(motion, palette.shown_places(motion))
+    groups = palette.group_alike(motion, palette.shown_waypoints(motion))
     rows = [group[0].row for group in groups]
     targets = [motion.targets[row][motion.target_mask[row]] for row in rows or [motion.steps]]
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
@@ -465,11 +467,11 @@ def plot_places(motion: Trajectory, ax: Axes) -> None:
     if motion.start_index or not groups:
         panel.posture(run.q[0], THEME.start, "initial posture", width=1.2)
     for group in groups:
-        label = "; ".join(f"{place.name}, {motion.time[place.row]:.3g} s" for place in group)
+        label = "; ".join(f"{waypoint.name}, {motion.time[waypoint.row]:.3g} s" for waypoint in group)
         panel.posture(run.q[group[0].row], group[0].color, label, 2.2)
     if not groups:
         panel.posture(run.q[-1], color, "final posture", 2.2)
-    if run.scene is not None or len(groups) < PANEL.fewest_places:
+    if run.scene is not None or len(groups) < PANEL.fewest_waypoints:
         draw_intermediate_postures(panel, run, color, evenly_spaced_rows(run))
     panel.finish(run.scene)
     handles, labels = ax.get_legend_handles_labels()
@@ -515,7 +517,7 @@ def plot(run: Run | Trajectory | JointTrajectory) -> Figure:
     switching controller, red dots on the axis mark the steps by Projection. Shading behind the mean
     error marks steps in which it may rise; red bars below it mark violated constraints.
 
-    For a motion in time, the figure shows the postures at its named places and, over time, point errors,
+    For a motion in time, the figure shows the postures at its waypoints and, over time, point errors,
     joint speeds and accelerations relative to their limits, delays, and clearance. For a joint trajectory, it
     shows positions, velocities and accelerations, with a line per joint.
 

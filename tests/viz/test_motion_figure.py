@@ -20,7 +20,7 @@ import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion.trajectory import Trajectory
 from pinposture.viz.body import backbone
-from pinposture.viz.panels import plot_places
+from pinposture.viz.panels import plot_waypoints
 
 RATES = "largest of all joints\n[share of limit]"
 
@@ -272,8 +272,8 @@ def test_unusual_motions_are_drawn_too(case):
 
 def test_plain_axes_do_for_planar_arms_only():
     with pytest.raises(InvalidValue, match="projection"):
-        plot_places(some_motion(), Figure().add_subplot())
-    plot_places(some_motion(arm=planar()), Figure().add_subplot())
+        plot_waypoints(some_motion(), Figure().add_subplot())
+    plot_waypoints(some_motion(arm=planar()), Figure().add_subplot())
 
 
 def test_limits_of_the_step_count_as_limits_of_speed():

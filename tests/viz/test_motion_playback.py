@@ -19,7 +19,7 @@ from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.viz.body import body_poses
 from pinposture.viz.drawing import PLAYBACK, arm_tracks, hoop_turns, moving_target_tracks, playback
 from pinposture.viz.meshcat import add_moving_targets
-from pinposture.viz.palette import NAMED_PLACES, group_alike, shown_places
+from pinposture.viz.palette import WAYPOINT_MARKS, group_alike, shown_waypoints
 
 pytestmark = pytest.mark.filterwarnings("ignore:dt is .* long for a control cycle")
 
@@ -177,16 +177,16 @@ def test_lines_without_a_direction_still_have_hoops_that_can_be_drawn(case):
 
 def test_of_many_places_the_first_the_last_and_some_between_are_shown():
     motion = some_motion(names=tuple(f"place {k}" for k in range(31)))
-    places = shown_places(motion)
-    assert len(places) == NAMED_PLACES.most
+    places = shown_waypoints(motion)
+    assert len(places) == WAYPOINT_MARKS.most
     assert (places[0].name, places[-1].name) == ("place 0", "place 30")
-    assert len({place.color for place in places}) == NAMED_PLACES.most
+    assert len({place.color for place in places}) == WAYPOINT_MARKS.most
 
 
 def test_places_that_were_not_reached_are_left_out_and_long_names_keep_both_ends():
     motion = some_motion(names=("the beginning of it all, and the end", "b"))
     motion = replace(motion, waypoints=(*motion.waypoints, WaypointResult("never", 9.0, None, None, None)))
-    first, last = shown_places(motion)
+    first, last = shown_waypoints(motion)
     assert first.name.startswith("the begin")
     assert first.name.endswith("the end")
     assert len(first.name) <= 22
@@ -198,5 +198,5 @@ def test_places_where_the_arm_looked_the_same_go_together():
     points = motion.run.points.copy()
     points[-1] = points[0]
     motion = replace(motion, run=replace(motion.run, points=points))
-    groups = group_alike(motion, shown_places(motion))
+    groups = group_alike(motion, shown_waypoints(motion))
     assert [[place.name for place in group] for group in groups] == [["a", "c"], ["b"]]
