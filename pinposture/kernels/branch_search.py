@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
@@ -41,18 +43,34 @@ from pinposture.kernels.kinematics import (
 # axis: both are linear in the cosine and the sine of b. Joints before those two are sampled, and each result
 # is corrected by a few least-squares steps within the limits.
 
-MAX_SOLUTIONS = 24  # maximum number of solutions kept per module
-MAX_SAMPLES_OF_THREE = 16  # number of samples for a module of three joints
-MIN_DIFFERENCE = 1e-3  # smallest difference of two solutions [rad, or units of length]
 
-MAX_CORRECTIONS = 15
-NO_DISTANCE = 1e-12
-"""Maximum number of correction steps, and their tolerance relative to the arm length."""
+class BranchSearchSettings(NamedTuple):
+    """Settings of the search module by module; `docs/design/branch_search.md` counts what it finds."""
 
-MAX_CORRECTED = 3
-"""Number of inexact solutions of a module that are corrected together with the previous modules."""
+    solutions: int = 24
+    """Largest number of solutions that are kept of a module."""
 
-MAX_WINDOW = 8  # maximum number of modules that are corrected together
+    samples_of_three: int = 16
+    """Largest number of samples of the first joint of a module of three joints."""
+
+    least_difference: float = 1e-3
+    """Smallest difference of two solutions [rad, or units of length]."""
+
+    corrections: int = 15
+    """Largest number of least-squares steps that correct a solution."""
+
+    no_distance: float = 1e-12
+    """Distance from the points at which a correction ends, relative to the arm length."""
+
+    corrected: int = 3
+    """Largest number of inexact solutions of a module that are corrected with the modules before it."""
+
+    largest_window: int = 8
+    """Largest number of modules that are corrected together."""
+
+
+BRANCH_SEARCH = BranchSearchSettings()
+
 
 FULL_TURN = 2.0 * np.pi
 
@@ -253,8 +271,8 @@ def correct(
     held = np.zeros(n, dtype=np.bool_)
     cost = measure_errors(chain, first, last, placed, points, q, e)
     damping = 1e-3
-    for _ in range(MAX_CORRECTIONS):
-        if cost <= (NO_DISTANCE * size) ** 2 or n == 0:
+    for _ in range(BRANCH_SEARCH.corrections):
+        if cost <= (BRANCH_SEARCH.no_distance * size) ** 2 or n == 0:
             break
         fill_jacobian(chain, first, last, placed, rows)
         trace = 0.0
@@ -325,7 +343,7 @@ def keep_solution(
         apart = 0.0
         for j in range(stop - first):
             apart = max(apart, abs(found[i, j] - q[first + j]))
-        if apart <= MIN_DIFFERENCE:
+        if apart <= BRANCH_SEARCH.least_difference:
             if residual >= residuals[i]:
                 return count
             at = i
@@ -357,8 +375,8 @@ def solve_module(
 ) -> int:
     """Find joint positions of module k that move its end to its point, or as near as possible.
 
-    Fills `residuals` (MAX_SOLUTIONS,) and `found` (MAX_SOLUTIONS, n) with distances and solutions; uses q of
-    this module as scratch. Returns the number of solutions. Other arguments are as in `search_branches`.
+    Fills `residuals` (c,) and `found` (c, n) with distances and c solutions at most; uses q of this module as
+    scratch. Returns the number of solutions. Other arguments are as in `search_branches`.
     """
     first = chain.begins[k]
     stop = chain.begins[k + 1]
@@ -382,7 +400,7 @@ def solve_module(
         residual = correct(chain, k, k, placed, points, size, q)
         count = keep_solution(residual, q, first, stop, residuals, found, count)
     for number in range(
-        1 if n <= closed else min(len(samples), MAX_SAMPLES_OF_THREE) if n == 3 else len(samples)
+        1 if n <= closed else min(len(samples), BRANCH_SEARCH.samples_of_three) if n == 3 else len(samples)
     ):
         for u in range(first, stop - closed):
             start[u - first] = chain.near[u]
@@ -440,7 +458,7 @@ def first_corrected(chain: ModuleSearch, k: int, window: int) -> int:
     The window is extended if its modules then have as many joints as their points have coordinates.
     """
     low = max(k - window + 1, 0)
-    for first in range(low, max(k - MAX_WINDOW, -1), -1):
+    for first in range(low, max(k - BRANCH_SEARCH.largest_window, -1), -1):
         if chain.begins[k + 1] - chain.begins[first] >= 3 * (k - first + 1):
             return first
     return low
@@ -485,15 +503,16 @@ def search_branches(
     origins = np.empty((len(chain.joints.kinds), 3))
     placed = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3)), axes, origins
     placed[0][0] = np.eye(3)
-    choices = np.empty((m, MAX_SOLUTIONS, widest))
-    order = np.zeros((m, MAX_SOLUTIONS), np.int64)
+    most = BRANCH_SEARCH.solutions
+    choices = np.empty((m, most, widest))
+    order = np.zeros((m, most), np.int64)
     number = np.zeros(m, np.int64)
     next_choice = np.zeros(m, np.int64)
     base = np.zeros(m, np.int64)
-    residuals = np.empty(MAX_SOLUTIONS)
-    found = np.empty((MAX_SOLUTIONS, widest))
-    ranked = np.zeros(MAX_SOLUTIONS, np.int64)
-    scores = np.empty(MAX_SOLUTIONS)
+    residuals = np.empty(most)
+    found = np.empty((most, widest))
+    ranked = np.zeros(most, np.int64)
+    scores = np.empty(most)
     e = np.empty((m, 3))
     before = q.copy()
     deepest = -1
@@ -524,7 +543,7 @@ def search_branches(
                 low = chain.begins[base[k]]
                 for u in range(low, first):
                     before[u] = q[u]
-                for i in range(min(MAX_CORRECTED, ends)):
+                for i in range(min(BRANCH_SEARCH.corrected, ends)):
                     for u in range(low, stop):
                         q[u] = before[u] if u < first else found[ranked[i], u - first]
                     if correct(chain, base[k], k, placed, points, size, q) <= accepted:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
@@ -29,14 +31,28 @@ from pinposture.kernels.kinematics import difference, point_velocity
 # follow from the base to the tip. Velocities are taken at the points themselves: at a distant common origin
 # they would suffer cancellation. Joints may be held at their x; the others are optimal given those.
 
-MAX_CORRECTIONS_OF_SET = 6  # maximum number of corrections of the active set
-MAX_ITERATIONS = 40  # maximum number of iterations of the interior point method
 
-RELATIVE_GAP = 1e-11
-"""Complementarity gap at which the interior point method ends, relative to the initial one."""
+class BoxSolverSettings(NamedTuple):
+    """Settings of the active set method, and of the interior point method where it fails."""
 
-NEGLIGIBLE_MOTION = 1e-12  # joint motion that counts as rounding error, in units of a joint
-STEP_TO_BOUNDARY = 0.995  # fraction of the distance to the boundary taken by one iteration
+    set_changes: int = 6
+    """Largest number of corrections of the active set."""
+
+    iterations: int = 40
+    """Largest number of iterations of the interior point method."""
+
+    gap: float = 1e-11
+    """Complementarity gap, relative to the initial one, and mismatch at which that method ends."""
+
+    share_to_boundary: float = 0.995
+    """Share of the way to the boundary that one of its iterations takes."""
+
+    rounding: float = 1e-12
+    """Joint motion that counts as rounding error, in units of a joint."""
+
+
+BOX_SOLVER = BoxSolverSettings()
+
 
 ChainProblem = tuple[PointObjective, Array2, Array1, Array1]
 """Points and chords, their errors e, (m, 3), damping D, (n,), positive, and centre z, (n,)."""
@@ -823,7 +839,7 @@ def minimise_in_box(
     interior = np.empty(n)
     solved = 0
     for attempt in range(2):
-        for _ in range(MAX_CORRECTIONS_OF_SET):
+        for _ in range(BOX_SOLVER.set_changes):
             any_held = False
             for u in range(n):
                 held[u] = sides[u] != 0 or _is_fixed(lower[u], upper[u])
@@ -842,11 +858,11 @@ def minimise_in_box(
                 side = 0
                 inverse = gains[u, 10]
                 if held[u]:  # stays held unless it would move inwards by more than rounding error
-                    if -slope[u] * inverse * sides[u] >= -NEGLIGIBLE_MOTION:
+                    if -slope[u] * inverse * sides[u] >= -BOX_SOLVER.rounding:
                         side = sides[u]
-                elif x[u] < lower[u] - NEGLIGIBLE_MOTION:
+                elif x[u] < lower[u] - BOX_SOLVER.rounding:
                     side = -1
-                elif x[u] > upper[u] + NEGLIGIBLE_MOTION:
+                elif x[u] > upper[u] + BOX_SOLVER.rounding:
                     side = 1
                 converged = converged and side == sides[u]
                 sides[u] = side
@@ -871,7 +887,7 @@ def minimise_in_box(
 @subkernel
 def _is_fixed(lower: float, upper: float) -> bool:
     """Return whether two bounds leave no room to move."""
-    return upper - lower <= NEGLIGIBLE_MOTION
+    return upper - lower <= BOX_SOLVER.rounding
 
 
 @subkernel
@@ -933,13 +949,13 @@ def _interior_point(
             high[u] = start / (upper[u] - x[u])
     iterations = 0
     mismatch = 1.0  # fraction of the initial mismatch of multipliers and gradient
-    while iterations < MAX_ITERATIONS:
+    while iterations < BOX_SOLVER.iterations:
         gap = 0.0
         for u in range(n):
             if not held[u]:
                 gap += _complementarity(low[u], x[u] - lower[u]) + _complementarity(high[u], upper[u] - x[u])
         gap /= max(bounds, 1)
-        if gap <= RELATIVE_GAP * start and mismatch <= RELATIVE_GAP:
+        if gap <= BOX_SOLVER.gap * start and mismatch <= BOX_SOLVER.gap:
             break
         iterations += 1
         aim = 0.0
@@ -996,12 +1012,12 @@ def _interior_point(
                     gap_there += _complementarity(high[u] + reach * ups[u], upper[u] - x[u] - move)
             gap_there /= max(bounds, 1)
             aim = gap * (gap_there / gap) ** 3
-        mismatch *= 1.0 - STEP_TO_BOUNDARY * reach
+        mismatch *= 1.0 - BOX_SOLVER.share_to_boundary * reach
         for u in range(n):
             if not held[u]:
-                x[u] += STEP_TO_BOUNDARY * reach * (trial[u] - x[u])
-                low[u] += STEP_TO_BOUNDARY * reach * downs[u]
-                high[u] += STEP_TO_BOUNDARY * reach * ups[u]
+                x[u] += BOX_SOLVER.share_to_boundary * reach * (trial[u] - x[u])
+                low[u] += BOX_SOLVER.share_to_boundary * reach * downs[u]
+                high[u] += BOX_SOLVER.share_to_boundary * reach * ups[u]
     for u in range(n):
         sides[u] = 0
         if not held[u] and gains[u, 10] * low[u] > 0.5 * (x[u] - lower[u]):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1
@@ -20,20 +22,34 @@ from pinposture.kernels.compiled import compiled, subkernel
 # dual function), maximal at the solution. Newton steps with a line search find it: the chain is solved once
 # more for each relevant row, and a small dense system, the Schur complement, gives the step.
 
-MAX_STEPS = 60  # maximum number of Newton steps
-MAX_HALVINGS = 4  # maximum number of halvings of each
 
-MIN_SHARE_OF_GAIN = 1e-4  # fraction of the expected gain at which a step is accepted
+class RowSolverSettings(NamedTuple):
+    """Settings of the search for the multipliers.
 
-SOFTNESSES = (1e-11, 1e-4, 1e-2, 1.0, 1e3)
-"""Regularisation of the Schur complement: compliance of rows relative to that of joints that move one by one.
-Larger values are tried if a step gains too little, because more rows are relevant than joints are free."""
+    Compliances are relative to that of joints that move one by one.
+    """
 
-GIVE = 1e-6
-"""Compliance of rows that may be violated, relative to that of joints that move one by one."""
+    steps: int = 60
+    """Largest number of Newton steps."""
 
-ROW_ROUNDING = 1e-10
-"""Violation of a row of length 1 that counts as rounding error, in units of a joint."""
+    halvings: int = 4
+    """Largest number of halvings of each."""
+
+    share_of_gain: float = 1e-4
+    """Smallest share of the expected gain at which a step is accepted."""
+
+    softnesses: tuple[float, ...] = (1e-11, 1e-4, 1e-2, 1.0, 1e3)
+    """Compliances of rows that regularise the Schur complement. Larger ones are tried if a step gains too
+    little, because more rows are relevant than joints are free."""
+
+    give: float = 1e-6
+    """Compliance of rows that may be violated."""
+
+    rounding: float = 1e-10
+    """Violation of a row of length 1 that counts as rounding error, in units of a joint."""
+
+
+ROW_SOLVER = RowSolverSettings()
 
 
 @compiled
@@ -76,17 +92,17 @@ def minimise_with_rows(
     before = np.empty(count)
     which = np.empty(count, dtype=np.int64)
     yielding = np.empty((count, n))
-    give = GIVE * _find_alone(problem, box, rows) if violable else 0.0
+    give = ROW_SOLVER.give * _find_alone(problem, box, rows) if violable else 0.0
     active[:] = False
     value = _minimise_given(problem, box, rows, least, give, multipliers, sides, x, missing)
-    for _ in range(MAX_STEPS):
+    for _ in range(ROW_SOLVER.steps):
         counting = 0
         settled = True
         for row in range(count):
-            if multipliers[row] > 0.0 or missing[row] > ROW_ROUNDING:
+            if multipliers[row] > 0.0 or missing[row] > ROW_SOLVER.rounding:
                 which[counting] = row
                 counting += 1
-                settled = settled and abs(missing[row]) <= ROW_ROUNDING
+                settled = settled and abs(missing[row]) <= ROW_SOLVER.rounding
         if settled:
             for row in range(count):
                 active[row] = multipliers[row] > 0.0
@@ -96,16 +112,16 @@ def minimise_with_rows(
             schur[k, k] += give
         better = False
         before[:] = missing
-        for softness in SOFTNESSES:
+        for softness in ROW_SOLVER.softnesses:
             soft = softness * alone
             expected = _step_multipliers(schur, soft, which[:counting], before, multipliers, change)
             share = 1.0
-            for _ in range(MAX_HALVINGS):
+            for _ in range(ROW_SOLVER.halvings):
                 for row in range(count):
                     tried[row] = max(multipliers[row] + share * change[row], 0.0)
                 found = _minimise_given(problem, box, rows, least, give, tried, sides, x, missing)
                 gain = found - value + 1e-14 * abs(value)
-                better = expected >= 0.0 and gain >= MIN_SHARE_OF_GAIN * share * expected
+                better = expected >= 0.0 and gain >= ROW_SOLVER.share_of_gain * share * expected
                 if better:
                     break
                 share *= 0.5

@@ -3,37 +3,46 @@
 from __future__ import annotations
 
 from math import copysign, exp, sqrt
+from typing import NamedTuple
 
 from pinposture.kernels.arrays import Array1, Flags1, JointHistory
 from pinposture.kernels.compiled import compiled
 
-MOVED = 1e-3
-"""Displacement above which a joint counts as moving, in units of motion of the joint."""
 
-MOST_MOVED = 7e-3
-"""Largest such displacement, however noisy the readings are."""
+class JointResponseSettings(NamedTuple):
+    """What counts as motion and as rest of a measured joint."""
 
-MOVED_DEVIATIONS = 8.0
-"""Displacement, in standard deviations of the readings, that counts as moving. Of readings that are repeated
-some times, the deviation is underestimated by a factor of up to 2."""
+    moved: float = 1e-3
+    """Displacement above which a joint counts as moving, in units of motion of the joint."""
 
-REST_TIME = 0.3
-"""Time after which a joint that does not move is at rest [s]; delays and repeated readings are shorter."""
+    most_moved: float = 7e-3
+    """Largest such displacement, however noisy the readings are."""
 
-SETTLING_TIME = 0.1
-"""Time over which the position of a joint that comes to rest is averaged [s]."""
+    moved_deviations: float = 8.0
+    """Displacement, in standard deviations of the readings, that counts as moving. Of readings that are
+    repeated some times, the deviation is underestimated by a factor of up to 2."""
 
-NOISE_TIME = 0.5
-"""Time over which noise is averaged [s]."""
+    rest_time: float = 0.3
+    """Time after which a joint that does not move is at rest [s]; delays and repeated
+    readings are shorter."""
 
-OUTLIER = 16.0
-"""Largest squared deviation that counts, relative to the variance: a sudden stop is no noise."""
+    settling_time: float = 0.1
+    """Time over which the position of a joint that comes to rest is averaged [s]."""
 
-LEAST_NOISE = 1e-6
-"""Smallest standard deviation of readings, in units of motion of the joint."""
+    noise_time: float = 0.5
+    """Time over which noise is averaged [s]."""
 
-FORGETTING = 0.5
-"""Weight of a smaller lead beside those seen before; a larger one counts at once."""
+    outlier: float = 16.0
+    """Largest squared deviation that counts, relative to the variance: a sudden stop is no noise."""
+
+    least_noise: float = 1e-6
+    """Smallest standard deviation of readings, in units of motion of the joint."""
+
+    forgetting: float = 0.5
+    """Weight of a smaller lead beside those seen before; a larger one counts at once."""
+
+
+JOINT_RESPONSE = JointResponseSettings()
 
 
 @compiled
@@ -62,33 +71,38 @@ def watch_joints(
     anchors, starts, standing, waiting, leads, readings, variances, errors, commands, overshoots, steps = (
         history
     )
-    share = dt / (dt + NOISE_TIME)
+    share = dt / (dt + JOINT_RESPONSE.noise_time)
     for j in range(len(measured)):
         position = measured[j]
         if position != readings[0, j]:  # a new reading
             bend = position - 2.0 * readings[0, j] + readings[1, j]
-            noise = max(variances[j], (LEAST_NOISE * units[j]) ** 2)
-            variances[j] += share * (min(bend * bend / 6.0, OUTLIER * noise) - variances[j])
+            noise = max(variances[j], (JOINT_RESPONSE.least_noise * units[j]) ** 2)
+            variances[j] += share * (min(bend * bend / 6.0, JOINT_RESPONSE.outlier * noise) - variances[j])
             readings[1, j] = readings[0, j]
             readings[0, j] = position
-        least = max(MOVED * units[j], min(MOVED_DEVIATIONS * sqrt(variances[j]), MOST_MOVED * units[j]))
+        least = max(
+            JOINT_RESPONSE.moved * units[j],
+            min(JOINT_RESPONSE.moved_deviations * sqrt(variances[j]), JOINT_RESPONSE.most_moved * units[j]),
+        )
         lead = sent[j] - position
         moved = position - anchors[j]
         if abs(moved) > least:
-            if standing[j] >= REST_TIME and moved * lead >= 0.0:
+            if standing[j] >= JOINT_RESPONSE.rest_time and moved * lead >= 0.0:
                 lead = abs(lead)
-                leads[j] += (lead - leads[j]) * (1.0 if lead > leads[j] else FORGETTING)
+                leads[j] += (lead - leads[j]) * (1.0 if lead > leads[j] else JOINT_RESPONSE.forgetting)
             anchors[j] = position
             starts[j] = sent[j]
             standing[j] = 0.0
-        elif standing[j] < REST_TIME:  # the anchor of a joint that comes to rest is where it rests
-            anchors[j] += dt / (dt + SETTLING_TIME) * moved
+        elif (
+            standing[j] < JOINT_RESPONSE.rest_time
+        ):  # the anchor of a joint that comes to rest is where it rests
+            anchors[j] += dt / (dt + JOINT_RESPONSE.settling_time) * moved
         standing[j] += dt
         travel = sent[j] - starts[j]
         away = abs(travel) if travel * lead > 0.0 else 0.0
         waiting[j] = waiting[j] + dt if away > band * units[j] else 0.0
         blocked[j] = away > band * units[j]
-        if standing[j] >= REST_TIME > standing[j] - dt:
+        if standing[j] >= JOINT_RESPONSE.rest_time > standing[j] - dt:
             error = position - expected[j]
             jump = abs(error - errors[j])
             # On a longer way the offset changes with the lag of the drive: that is no fault of the drive.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
@@ -26,25 +28,36 @@ from pinposture.kernels.kinematics import placements
 
 STEP_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
 
-CATCH_UP_SHARE = 0.25
-"""Share of the acceleration limit that is used to make up a lag. In ten runs each of 10 and 40 joints, pushed
-aside ten times, half of it changed the speed by 15 % less in all, but took up to 4 % more steps; twice of it
-changed the speed by 15 % more, and saved 0.4 % of the steps at most."""
+
+class PathSpeedSettings(NamedTuple):
+    """Settings of the speed along a path and of the return to it."""
+
+    catch_up_share: float = 0.25
+    """Share of the acceleration limit that is used to make up a lag. In ten runs each of 10 and 40 joints,
+    pushed aside ten times, half of it changed the speed by 15 % less in all, but took up to 4 % more steps;
+    twice of it changed the speed by 15 % more, and saved 0.4 % of the steps at most."""
+
+    least_gain: float = 0.2
+    """Share of the largest change of speed from rest that is allowed at any speed, so that an arm off the
+    profile can change its speed where the curvature of the path uses up the limit. Half or twice of it
+    changed none of these runs."""
+
+    least_extra: float = 0.002
+    """Torque that motions may take where holding the arm takes more than their share, relative to that."""
+
+    iterations: int = 60
+    """Largest number of iterations for the speed at a place."""
+
+    rounding: float = 1e-12
+    """Relative rounding error of accelerations there."""
+
+
+PATH_SPEED = PathSpeedSettings()
+
 
 MAX_BRAKING_STEPS = 1e60
 """Number of braking steps that stands for infinitely many: a joint without position limits."""
 
-MAX_PROFILE_ITERATIONS = 60
-PROFILE_ROUNDING = 1e-12
-"""Largest number of iterations for the speed at a place, and the relative rounding of accelerations there."""
-
-MIN_GAIN = 0.2
-"""Share of the largest change of speed from rest that is allowed at any speed, so that an arm off the profile
-can change its speed where the curvature of the path uses up the limit. Half or twice of it changed none of
-the runs above."""
-
-LEAST_EXTRA = 0.002
-"""Torque that motions may take where holding the arm takes more than their share, relative to that torque."""
 
 UNMET_LIMITS = 1
 OUTSIDE_LIMITS = 2
@@ -167,7 +180,7 @@ def fill_torque_rows(
             a1 = here[1, j] + h * b1  # x has changed by 2 s u after a distance s
             a2 = here[2, j] + 2.0 * h * b2
             # Where holding the arm takes nearly all, it may move slowly.
-            held = (1.0 + LEAST_EXTRA) * largest * max(abs(c0), abs(c1), abs(c2))
+            held = (1.0 + PATH_SPEED.least_extra) * largest * max(abs(c0), abs(c1), abs(c2))
             factor = largest / max(held / rows.limit[first + j], 1.0)
             rows.a[k, 0, first + j] = factor * a0
             rows.b[k, 0, first + j] = factor * b0
@@ -230,7 +243,7 @@ def _fastest_start(rows: ProfileRows, part: int, tiny: float, h: float, most: fl
             room = rows.limit[j] - np.copysign(1.0, b) * rows.c[part, row, j]
             if abs(rows.a[part, row, j]) <= tiny and abs(b) * x > room:
                 x = max(room, 0.0) / abs(b)
-    for _ in range(MAX_PROFILE_ITERATIONS):  # Newton's method on a convex function
+    for _ in range(PATH_SPEED.iterations):  # Newton's method on a convex function
         low, high, low_slope, high_slope = _acceleration_range(rows, part, tiny, x)
         if (after - x) / (2.0 * h) < high:
             high = (after - x) / (2.0 * h)
@@ -239,7 +252,7 @@ def _fastest_start(rows: ProfileRows, part: int, tiny: float, h: float, most: fl
             low = -x / (2.0 * h)
             low_slope = -0.5 / h
         excess = low - high
-        if excess <= PROFILE_ROUNDING * (abs(low) + abs(high) + x / h):  # both may be nearly zero
+        if excess <= PATH_SPEED.rounding * (abs(low) + abs(high) + x / h):  # both may be nearly zero
             return x
         fall = low_slope - high_slope
         if fall <= 0.0:
@@ -374,8 +387,8 @@ def next_path_speed(
     for i in range(first, last + 1):
         low, high, _, _ = _acceleration_range(rows, i, tiny, rate**2)
         slowest, fastest, _, _ = _acceleration_range(rows, i, tiny, 0.0)
-        gain = min(gain, max(high, MIN_GAIN * fastest))
-        loss = min(loss, max(-low, -MIN_GAIN * slowest))
+        gain = min(gain, max(high, PATH_SPEED.least_gain * fastest))
+        loss = min(loss, max(-low, -PATH_SPEED.least_gain * slowest))
     fastest = min(wanted, rate + max(gain, wanted - before))
     return min(max(fastest, min(rate - max(loss, before - wanted), wanted + rate)), left)
 
@@ -694,7 +707,7 @@ def step_on_profile(
     _smooth_offset(path.offsets, path.slopes, place, dq)
     for u in range(len(dq)):
         # The lag is made up no faster than the arm can stop, or it would oscillate about its path.
-        caught = _stoppable_step(lag[u], CATCH_UP_SHARE * brake[u]) if len(brake) else lag[u]
+        caught = _stoppable_step(lag[u], PATH_SPEED.catch_up_share * brake[u]) if len(brake) else lag[u]
         dq[u] = dq[u] - here[u] + caught
     inside = True
     for k in range(len(columns)):

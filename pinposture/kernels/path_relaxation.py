@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
@@ -32,26 +34,42 @@ from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.path_following import spline_bends
 
-MAX_RELAXATION = 1.85  # largest over-relaxation of a waypoint; 1 moves it to its own minimum
 
-WAYPOINT_DAMPING_DOWN = 0.1
-WAYPOINT_DAMPING_UP = 30.0
-"""Factors of a waypoint's damping after successful and failed moves."""
+class RelaxationSettings(NamedTuple):
+    """Settings of both relaxations; `docs/design/relaxation.md` measures the paths that come out."""
 
-MIN_WAYPOINT_DAMPING = 3e-6
-"""Smallest damping, relative to the mean squared distance of the control points from the base."""
+    most_over_relaxation: float = 1.85
+    """Largest over-relaxation of a waypoint; 1 moves it to its own minimum, 2 would not converge."""
 
-FEWEST_SAMPLES = 24
-SAMPLES_PER_PIECE = 4
-"""Number of samples for the length of a path: minimum, and per piece."""
+    damping_down: float = 0.1
+    """Factor of the damping of a waypoint after a move that lowered the energy."""
 
-MAX_WAYPOINT_TRIALS = 6  # number of failed moves after which a waypoint waits for the next pass
+    damping_up: float = 30.0
+    """Factor of that damping after a move that did not."""
 
-MAX_SET_CHANGES = 3  # number of corrections of the active set in a step of all waypoints
+    least_damping: float = 3e-6
+    """Smallest damping, relative to the mean squared distance of the control points from the base."""
 
-MAX_CONJUGATE_STEPS = 60
-CONJUGATE_RESIDUAL = 1e-2
-"""Maximum number of conjugate gradient iterations for a step of all waypoints, and relative tolerance."""
+    trials: int = 6
+    """Number of failed moves after which a waypoint waits for the next pass."""
+
+    fewest_samples: int = 24
+    """Smallest number of samples for the length of a path."""
+
+    samples_per_piece: int = 4
+    """Smallest number of samples of each of its pieces."""
+
+    set_changes: int = 3
+    """Number of corrections of the active set in a step of all waypoints."""
+
+    conjugate_steps: int = 60
+    """Largest number of conjugate gradient iterations for a step of all waypoints."""
+
+    conjugate_residual: float = 1e-2
+    """Residual at which these end, relative to the right-hand side."""
+
+
+RELAXATION = RelaxationSettings()
 
 
 # The energy of a path (see `trajectory_optimization`) couples each waypoint only with its two neighbours.
@@ -90,7 +108,7 @@ def find_direct_waypoints(
     best = np.empty((2, guess.shape[1]))
     best[0] = guess[0]
     best[1] = guess[-1]
-    shortest = _length_ratio(problem, _refined(best, FEWEST_SAMPLES, lower, upper))
+    shortest = _length_ratio(problem, _refined(best, RELAXATION.fewest_samples, lower, upper))
     if shortest <= kept:
         return best
     for number in range(len(stages)):
@@ -108,7 +126,7 @@ def find_direct_waypoints(
             x,
         )
         if good > 0.0:
-            finer = max(FEWEST_SAMPLES // pieces, SAMPLES_PER_PIECE)
+            finer = max(RELAXATION.fewest_samples // pieces, RELAXATION.samples_per_piece)
             ratio = _length_ratio(problem, _refined(x, finer * pieces, lower, upper))
             if ratio < shortest:
                 best = x.copy()
@@ -157,12 +175,13 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
     for k in range(m):
         for j in range(3):
             size += (points[0, k, j] - lines[1][0, 0, j]) ** 2 / m
-    least = MIN_WAYPOINT_DAMPING * size
+    least = RELAXATION.least_damping * size
     extra = np.full(last + 1, least)
     energy = 0.0
     for i in range(last):
         energy += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
-    relaxation = min(2.0 / (1.0 + np.sin(np.pi / last)), MAX_RELAXATION)  # optimal for a row of equal springs
+    optimal = 2.0 / (1.0 + np.sin(np.pi / last))  # for a row of equal springs
+    relaxation = min(optimal, RELAXATION.most_over_relaxation)
     for number in range(rounds):
         fall = 0.0
         for place in range(1, last):
@@ -173,7 +192,7 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
             for k in range(m):
                 for j in range(3):
                     errors[k, j] = 0.5 * (points[i - 1, k, j] + points[i + 1, k, j]) - points[i, k, j]
-            for _ in range(MAX_WAYPOINT_TRIALS):
+            for _ in range(RELAXATION.trials):
                 damping = weight + extra[i]
                 for u in range(n):
                     centre[u] = weight / damping * (0.5 * (x[i - 1, u] + x[i + 1, u]) - x[i, u])
@@ -204,9 +223,9 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
                     lines[0][i] = lines[0][last + 1]
                     lines[1][i] = lines[1][last + 1]
                     fall += gain
-                    extra[i] = max(extra[i] * WAYPOINT_DAMPING_DOWN, least)
+                    extra[i] = max(extra[i] * RELAXATION.damping_down, least)
                     break
-                extra[i] *= WAYPOINT_DAMPING_UP
+                extra[i] *= RELAXATION.damping_up
         energy -= fall
         if fall <= min_decrease * energy:
             break
@@ -385,7 +404,7 @@ def step_waypoints(
     bodies = np.empty((n, 6, 6))
     total = 0
     steps[:] = 0.0
-    for _ in range(MAX_SET_CHANGES):
+    for _ in range(RELAXATION.set_changes):
         downhill[:] = -slope
         for row in range(len(rows.errors)):
             for u in range(n):
@@ -528,7 +547,7 @@ def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2,
     motions = np.zeros((last + 1, len(system[0][1]), 3))
     factors = np.empty(len(system[1][3]))
     _precondition(system, blocks, right, solved)
-    aim = CONJUGATE_RESIDUAL**2 * _inner(right, solved)
+    aim = RELAXATION.conjugate_residual**2 * _inner(right, solved)
     _multiply(system, steps, motions, factors, product)
     for i in range(1, last):
         for u in range(n):
@@ -536,7 +555,7 @@ def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2,
     _precondition(system, blocks, residual, solved)
     direction = solved.copy()
     size = _inner(residual, solved)
-    for number in range(MAX_CONJUGATE_STEPS):
+    for number in range(RELAXATION.conjugate_steps):
         if not size > aim:
             return number
         _multiply(system, direction, motions, factors, product)
@@ -551,7 +570,7 @@ def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2,
         for i in range(1, last):
             for u in range(n):
                 direction[i, u] = solved[i, u] + size / before * direction[i, u]
-    return MAX_CONJUGATE_STEPS
+    return RELAXATION.conjugate_steps
 
 
 @subkernel

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array1, Array2, Factors, Flags1, Rows, Screws
@@ -23,9 +25,22 @@ from pinposture.kernels.kinematics import difference, joints_along, motions_alon
 ZERO_PIVOT = 1e-60
 """Replaces zeros on the diagonal of L, so that it has an inverse; its square does not underflow."""
 
-LARGEST_BASIS = 400  # number of Lanczos vectors after which the search restarts from the best result
-MAX_RESTARTS = 20  # maximum number of restarts
-BISECTIONS = 60  # number of bisections of an eigenvalue
+
+class LanczosSettings(NamedTuple):
+    """Settings of the search for the extreme singular values."""
+
+    largest_basis: int = 400
+    """Number of vectors after which the search starts again from the best result."""
+
+    restarts: int = 20
+    """Largest number of these new starts."""
+
+    bisections: int = 60
+    """Number of bisections of an eigenvalue: more than a number has binary digits."""
+
+
+LANCZOS = LanczosSettings()
+
 
 Twist = tuple[float, float, float, float, float, float]
 """Linear and angular velocity."""
@@ -416,7 +431,7 @@ def extreme_value(points: Array2, rows: Rows, factors: Factors, smallest: bool, 
     ranks = rows.ranks
     p = len(rows.stations)
     count = int(np.sum(ranks))
-    largest_basis = min(count, LARGEST_BASIS)
+    largest_basis = min(count, LANCZOS.largest_basis)
     V = np.empty((largest_basis + 1, count))
     y = np.empty((p, 3))
     diagonal = np.empty(largest_basis)
@@ -426,7 +441,7 @@ def extreme_value(points: Array2, rows: Rows, factors: Factors, smallest: bool, 
     for i in range(count):  # generic, so not orthogonal to a singular vector
         start[i] = 1.0 + np.sin(12.9898 * (i + 1.0) * (i + 1.0))
     best = 0.0
-    for _ in range(MAX_RESTARTS):
+    for _ in range(LANCZOS.restarts):
         V[0] = start / np.sqrt(np.sum(start * start))
         j = 0
         due = 4
@@ -481,7 +496,7 @@ def _largest_eigenvalue(diagonal: Array1, off: Array1, size: int, vector: Array1
         low = max(low, diagonal[i])
         high = max(high, diagonal[i] + reach)
     high *= 1.0 + 1e-14
-    for _ in range(BISECTIONS):
+    for _ in range(LANCZOS.bisections):
         middle = 0.5 * (low + high)
         pivot = 1.0
         above = True

@@ -3,30 +3,40 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2
 from pinposture.kernels.compiled import compiled
 
-FEWEST = 3
-"""Fewest vectors that tell a rate: two are as well those of something that is put elsewhere."""
 
-FIT = 1.5
-"""Largest ratio of the deviation of vectors from a constant rate to their noise. With 50 vectors it varies by
-a tenth, so that noise alone hardly shortens a fit."""
+class RateFitSettings(NamedTuple):
+    """When vectors count as changing at a constant rate, beside the noise of three coordinates."""
 
-LAST_OFF = 4.0
-"""Distance of the last vector from a constant rate that noise explains, in standard deviations."""
+    fewest: int = 3
+    """Fewest vectors that tell a rate: two are as well those of something that is put elsewhere."""
 
-SIGNIFICANT = 6.0
-FEW_VECTORS = 4.0
-"""Rate that noise explains, in standard deviations; it is larger by this share with three vectors, by half of
-it with four, and so on. With it, none of 20 obstacles that jitter had a velocity in 3,000 cycles each."""
+    largest_deviation: float = 1.5
+    """Largest ratio of the deviation of vectors from a constant rate to their noise. With 50 vectors it
+    varies by a tenth, so that noise alone hardly shortens a fit."""
 
-MEDIAN_DEVIATION = 1.884
-"""Median distance of a vector from the middle of its neighbours, in standard deviations of the noise of three
-coordinates: sqrt(1.5) times the median of a chi distribution of three degrees of freedom."""
+    last_off: float = 4.0
+    """Distance of the last vector from a constant rate that noise explains, in standard deviations."""
+
+    significant: float = 6.0
+    """Rate that noise explains, in standard deviations, and by `few_vectors` larger with few vectors. With
+    both, none of 20 obstacles that jitter had a velocity in 3,000 cycles each."""
+
+    few_vectors: float = 4.0
+    """Share by which it is larger with three vectors; half of it with four, and so on."""
+
+    median: float = 1.884
+    """Median distance of a vector from the middle of its neighbours, in standard deviations: sqrt(1.5) times
+    the median of a chi distribution of three degrees of freedom."""
+
+
+RATE_FIT = RateFitSettings()
 
 
 @compiled
@@ -54,7 +64,7 @@ def fit_rate(times: Array1, values: Array2, least_noise: float, rate: Array1) ->
             between = (1.0 - share) * values[i - 1, j] + share * values[i + 1, j]
             deviations[i - 1] += (values[i, j] - between) ** 2
     typical = sqrt(np.sort(deviations)[(count - 3) // 2])
-    noise = max(typical / MEDIAN_DEVIATION, least_noise)
+    noise = max(typical / RATE_FIT.median, least_noise)
     # Sums over the last n vectors, relative to the last one.
     sums = np.zeros(size)
     products = np.zeros(size)
@@ -73,7 +83,7 @@ def fit_rate(times: Array1, values: Array2, least_noise: float, rate: Array1) ->
             sums[j] += x
             products[j] += t * x
             squares += x * x
-        if n < FEWEST:
+        if n < RATE_FIT.fewest:
             continue
         spread = sum_tt - sum_t * sum_t / n
         rest = squares
@@ -85,10 +95,10 @@ def fit_rate(times: Array1, values: Array2, least_noise: float, rate: Array1) ->
             last_off += ((sums[j] - slope[j] * sum_t) / n) ** 2
             speed += slope[j] * slope[j]
         error = sqrt(max(rest, 0.0) / (3.0 * (n - 2)))
-        least = SIGNIFICANT * (1.0 + FEW_VECTORS / (n - 2)) * max(noise, error)
+        least = RATE_FIT.significant * (1.0 + RATE_FIT.few_vectors / (n - 2)) * max(noise, error)
         significant = sqrt(speed * spread) > least
-        constant = error <= FIT * noise and sqrt(last_off) <= LAST_OFF * noise
-        if constant or (n == FEWEST and significant):  # it may accelerate more than before
+        constant = error <= RATE_FIT.largest_deviation * noise and sqrt(last_off) <= RATE_FIT.last_off * noise
+        if constant or (n == RATE_FIT.fewest and significant):  # it may accelerate more than before
             straight = True
             for j in range(size):
                 rate[j] = slope[j] if significant else 0.0

@@ -2,22 +2,37 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Array3, LengthArrays, SplineArrays, Three
 from pinposture.kernels.compiled import compiled, subkernel
 
-MAX_HALVINGS = 48  # maximum number of halvings of a span, enough for a speed that nearly vanishes
 
-MAX_PIECES_PER_SPAN = 64
-"""Maximum number of pieces per span that are halved at a time; more indicates rounding errors."""
+class SplineSettings(NamedTuple):
+    """Settings of arc lengths, their inverse, and the search for places where a curve stands still."""
 
-MAX_NEWTON_STEPS = 60
-NEWTON_TOLERANCE = 1e-10
-"""Maximum number of Newton steps, and their tolerance relative to the bracket."""
+    halvings: int = 48
+    """Largest number of halvings of a span, enough for a speed that nearly vanishes."""
 
-SPEED_SAMPLES = 9  # number of samples of the speed in a knot span
-STATIONARY_SPEED = 1e-6  # speed that counts as zero, relative to the largest in its span
+    pieces_per_span: int = 64
+    """Largest number of pieces per span that are halved at a time; more are a sign of rounding errors."""
+
+    newton_steps: int = 60
+    """Largest number of Newton steps."""
+
+    newton_tolerance: float = 1e-10
+    """Step at which Newton's method ends, relative to the bracket."""
+
+    speed_samples: int = 9
+    """Number of samples of the speed in a knot span."""
+
+    stationary_speed: float = 1e-6
+    """Speed that counts as zero, relative to the largest in its span."""
+
+
+SPLINE = SplineSettings()
 
 
 @compiled
@@ -208,7 +223,7 @@ def measure_length(
         pieces[i, 2] = -1.0
     largest = 0.0
     unresolved = spans
-    for depth in range(MAX_HALVINGS):
+    for depth in range(SPLINE.halvings):
         total = 0.0
         unresolved = 0
         for i in range(len(pieces)):
@@ -225,7 +240,8 @@ def measure_length(
             largest = max(tail * total, rounding)
             for i in range(spans):
                 unresolved += int(pieces[i, 2] > largest)
-        if unresolved == 0 or unresolved > MAX_PIECES_PER_SPAN * len(breaks) or depth == MAX_HALVINGS - 1:
+        too_many = unresolved > SPLINE.pieces_per_span * len(breaks)
+        if unresolved == 0 or too_many or depth == SPLINE.halvings - 1:
             break
         halves = np.empty((len(pieces) + unresolved, 3 + nodes))
         k = 0
@@ -300,7 +316,7 @@ def parameter_at(length: LengthArrays, s: float) -> float:
     low = -1.0
     high = 1.0
     x = min(max(2.0 * local / (lengths[i + 1] - lengths[i]) - 1.0, -1.0), 1.0)
-    for _ in range(MAX_NEWTON_STEPS):
+    for _ in range(SPLINE.newton_steps):
         gap = row[0]
         slope = 0.0
         for j in range(1, len(row)):
@@ -308,7 +324,7 @@ def parameter_at(length: LengthArrays, s: float) -> float:
             gap = gap * x + row[j]
         before = x
         x, low, high = newton_step(x, gap - local, slope, low, high)
-        if abs(x - before) <= 2.0 * NEWTON_TOLERANCE:
+        if abs(x - before) <= 2.0 * SPLINE.newton_tolerance:
             break
     u = 0.5 * ((1.0 - x) * edges[i] + (1.0 + x) * edges[i + 1])
     return float(min(max(u, edges[i]), edges[i + 1]))
@@ -363,11 +379,11 @@ def nearest_within(
         width = inner - low
         left = low
         right = inner
-        for _ in range(MAX_NEWTON_STEPS):
+        for _ in range(SPLINE.newton_steps):
             gap, slope = slopes(spline, u, p, work)
             before = u
             u, left, right = newton_step(u, gap, slope, left, right)
-            if abs(u - before) <= NEWTON_TOLERANCE * width:
+            if abs(u - before) <= SPLINE.newton_tolerance * width:
                 break
         inside = distance_at(spline, u, p, work)
         if inside <= distance:
@@ -464,11 +480,11 @@ def slowest_point(taylor: Array2, degree: int, low: float, high: float) -> float
         return np.nan
     x = 0.5 * (low + high)
     width = high - low
-    for _ in range(MAX_NEWTON_STEPS):
+    for _ in range(SPLINE.newton_steps):
         gap, slope = half_square_slope(taylor, degree, x)
         before = x
         x, low, high = newton_step(x, gap, slope, low, high)
-        if abs(x - before) <= NEWTON_TOLERANCE * width:
+        if abs(x - before) <= SPLINE.newton_tolerance * width:
             break
     return x
 
@@ -486,12 +502,12 @@ def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
     """
     spans = len(taylors)
     degree = taylors.shape[1]
-    last = SPEED_SAMPLES - 1
-    v = np.empty((spans, SPEED_SAMPLES))
+    last = SPLINE.speed_samples - 1
+    v = np.empty((spans, SPLINE.speed_samples))
     fastest = np.zeros(spans)
     overall = 0.0
     for i in range(spans):
-        for j in range(SPEED_SAMPLES):
+        for j in range(SPLINE.speed_samples):
             v[i, j] = speed(taylors[i], degree, 2.0 * j / last - 1.0)
             fastest[i] = max(fastest[i], v[i, j])
         overall = max(overall, fastest[i])
@@ -501,17 +517,17 @@ def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
     # The smallest speed is near a sample that is slower than its neighbours. Near a cusp that sample is much
     # slower than the fastest; on a circle all are equal up to rounding, and no search is needed.
     for i in range(spans):
-        for j in range(SPEED_SAMPLES):
+        for j in range(SPLINE.speed_samples):
             before = max(j - 1, 0)
             after = min(j + 1, last)
             if v[i, j] <= min(v[i, before], v[i, after]) and v[i, j] < 0.9 * fastest[i]:
                 x = slowest_point(taylors[i], degree, 2.0 * before / last - 1.0, 2.0 * after / last - 1.0)
-                if speed(taylors[i], degree, x) <= STATIONARY_SPEED * fastest[i]:  # False if NaN
+                if speed(taylors[i], degree, x) <= SPLINE.stationary_speed * fastest[i]:  # False if NaN
                     return float(0.5 * ((1.0 - x) * breaks[i] + (1.0 + x) * breaks[i + 1]))
     for i in range(spans):
-        if v[i, 0] <= STATIONARY_SPEED * fastest[i]:
+        if v[i, 0] <= SPLINE.stationary_speed * fastest[i]:
             return float(breaks[i])
     for i in range(spans):
-        if v[i, last] <= STATIONARY_SPEED * fastest[i]:
+        if v[i, last] <= SPLINE.stationary_speed * fastest[i]:
             return float(np.nextafter(breaks[i + 1], breaks[i]))
     return np.nan

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
@@ -23,27 +25,57 @@ from pinposture.kernels.spline import parameter_at, span_at, value
 # positions is minimised. Both cases use Gauss-Newton steps from several postures whose ends are near the
 # curve.
 
-CURVE_SAMPLES = 48  # number of curve samples per reach
-MAX_CURVE_SAMPLES = 400  # maximum number of samples ahead
-STARTS = 8
-STARTS_OF_MANY = 16
-ENOUGH = 4
-"""Number of start postures for up to two degrees of freedom and for more; in the latter case, number of
-postures that reach the curve at which to stop."""
 
-START_DISTANCE = 0.3  # smallest difference between start postures, in units of the joints
-COST_OF_DISTANCE = 25.0  # weight of the squared distance from the curve, in reaches, against joint motion
+class TargetPointSettings(NamedTuple):
+    """Settings of the search for the next target point."""
 
-STEPS = 40
-POLISHING_STEPS = 8
-"""Maximum number of steps to the curve, and along it towards the preferred posture; then back to it."""
+    curve_samples: int = 48
+    """Number of samples of the curve per reach of the module."""
 
-LARGEST_STEP = 0.5  # in units of the joints, and in reaches along the curve
-COST_ALONG = 0.01  # cost of one reach along the curve, relative to one unit of a joint
-STILL = 1e-7  # change of the unknowns below which the search ends
-ON_TARGET = 1e-11  # distance from the curve that counts as zero, relative to the reach
-AHEAD = 1e-6  # smallest distance ahead, relative to the reach
-FACING = 0.5 * np.pi  # motion of a hinge up to which a posture counts as facing the curve [rad]
+    most_curve_samples: int = 400
+    """Largest number of samples of the curve ahead."""
+
+    starts: int = 8
+    """Number of start postures with up to two degrees of freedom."""
+
+    starts_of_many: int = 16
+    """Number of start postures with more degrees of freedom."""
+
+    enough: int = 4
+    """Number of postures on the curve at which the search stops, with more than two degrees of freedom."""
+
+    start_distance: float = 0.3
+    """Smallest difference between start postures, in units of the joints."""
+
+    cost_of_distance: float = 25.0
+    """Weight of the squared distance of a start from the curve, in reaches, against squared joint motion."""
+
+    steps: int = 40
+    """Largest number of steps to the curve, and again of those along it towards the preferred posture."""
+
+    polishing_steps: int = 8
+    """Largest number of steps back to the curve after those along it."""
+
+    largest_step: float = 0.5
+    """Largest step, in units of the joints, and in reaches along the curve."""
+
+    cost_along: float = 0.01
+    """Cost of one reach along the curve, relative to that of one unit of a joint."""
+
+    still: float = 1e-7
+    """Change of the unknowns below which the search along the curve ends."""
+
+    on_target: float = 1e-11
+    """Distance from the curve that counts as zero, relative to the reach."""
+
+    ahead: float = 1e-6
+    """Smallest distance of the point ahead, relative to the reach."""
+
+    facing: float = 0.5 * np.pi
+    """Motion of a hinge from its preferred position up to which a posture faces the curve [rad]."""
+
+
+TARGET_POINT = TargetPointSettings()
 
 
 @subkernel
@@ -136,7 +168,7 @@ def nearest_starts(
         for j in range(candidates.shape[1]):
             motion += candidates[i, j] ** 2
         nearest[i] = best
-        scores[i] = COST_OF_DISTANCE * least / (reach * reach) + motion
+        scores[i] = TARGET_POINT.cost_of_distance * least / (reach * reach) + motion
     found = 0
     while found < len(starts):
         best = int(np.argmin(scores))
@@ -149,7 +181,7 @@ def nearest_starts(
             apart = 0.0
             for j in range(candidates.shape[1]):
                 apart = max(apart, abs(candidates[i, j] - candidates[best, j]))
-            if apart < START_DISTANCE:
+            if apart < TARGET_POINT.start_distance:
                 scores[i] = np.inf
     return found
 
@@ -194,7 +226,7 @@ def next_target_point(
     reach = module.reach[0]
     total = length.lengths[-1]
     work = np.empty((6, 3))
-    points = np.empty((MAX_CURVE_SAMPLES, 3))
+    points = np.empty((TARGET_POINT.most_curve_samples, 3))
     point = np.empty(3)
     tangent = np.empty(3)
     axes = np.empty((n, 3))
@@ -204,11 +236,11 @@ def next_target_point(
     jacobian = np.empty((1, 3, k))
     rows = np.empty((3, k + 1))
     matrix = np.empty((3, 3))
-    step = reach / CURVE_SAMPLES
+    step = reach / TARGET_POINT.curve_samples
     count = 0
     beyond = False
     s = start
-    while count < MAX_CURVE_SAMPLES and s < total and not beyond:
+    while count < TARGET_POINT.most_curve_samples and s < total and not beyond:
         s = min(start + (count + 1) * step, total)
         curve_point(spline, length, base, s, work, points[count], tangent)
         p = points[count]
@@ -222,9 +254,9 @@ def next_target_point(
     for j in range(k):
         low[j] = (lower[j] - preferred[j]) / module.units[j]
         high[j] = (upper[j] - preferred[j]) / module.units[j]
-    low[k] = (start + AHEAD * reach) / reach
+    low[k] = (start + TARGET_POINT.ahead * reach) / reach
     high[k] = last / reach
-    tries = STARTS if k <= 2 else STARTS_OF_MANY
+    tries = TARGET_POINT.starts if k <= 2 else TARGET_POINT.starts_of_many
     candidates = np.empty(samples.shape)
     begins = np.empty(tries, np.int64)
     at = np.empty(tries, np.int64)
@@ -241,20 +273,20 @@ def next_target_point(
     gap = np.empty(3)
     wanted = np.empty(3)
     kept = np.empty(k + 1)
-    costs[k] = COST_ALONG
+    costs[k] = TARGET_POINT.cost_along
     best_cost = np.inf
     best_s = np.nan
     best_facing = False
     arrivals = 0
     for each in range(chosen):
-        if k > 2 and arrivals == ENOUGH:
+        if k > 2 and arrivals == TARGET_POINT.enough:
             break
         z[:k] = candidates[begins[each]]
         z[k] = max(min(start + (at[each] + 1) * step, last) / reach, low[k])
         # First straight to the curve; with redundant joints then along it towards the preferred positions,
         # and to the curve again, if that works.
         pulled = False
-        left = STEPS
+        left = TARGET_POINT.steps
         reached = False
         arrived = False
         while left > 0:
@@ -272,13 +304,13 @@ def next_target_point(
                 for j in range(k):
                     rows[i, j] = jacobian[0, i, j] * module.units[j]
                 rows[i, k] = -tangent[i] * reach
-            reached = distance <= (ON_TARGET * reach) ** 2
+            reached = distance <= (TARGET_POINT.on_target * reach) ** 2
             if reached and not pulled:
                 if arrived or k <= 2:
                     break
                 arrived = True
                 pulled = True
-                left = STEPS
+                left = TARGET_POINT.steps
                 kept[:] = z
             # Unknowns x: joint motions, or joint positions when pulled; and the motion of s.
             for j in range(k):
@@ -308,12 +340,12 @@ def next_target_point(
             largest = 0.0
             for j in range(k + 1):
                 largest = max(largest, abs(x[j] - offset[j]))
-            scale = min(1.0, LARGEST_STEP / max(largest, 1e-300))
+            scale = min(1.0, TARGET_POINT.largest_step / max(largest, 1e-300))
             for j in range(k + 1):
                 z[j] = min(max(z[j] + scale * (x[j] - offset[j]), low[j]), high[j])
-            if pulled and (largest <= STILL or left == 0):
+            if pulled and (largest <= TARGET_POINT.still or left == 0):
                 pulled = False
-                left = POLISHING_STEPS
+                left = TARGET_POINT.polishing_steps
         if arrived and not reached:
             z[:] = kept
             reached = True
@@ -324,7 +356,7 @@ def next_target_point(
         facing = k <= 2
         for j in range(k):
             cost += z[j] ** 2
-            facing = facing and (not module.turning[j] or abs(z[j]) <= FACING)
+            facing = facing and (not module.turning[j] or abs(z[j]) <= TARGET_POINT.facing)
         better = z[k] * reach < best_s if facing and best_facing else cost < best_cost
         if (facing and not best_facing) or (facing == best_facing and better):
             best_cost = cost

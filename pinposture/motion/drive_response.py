@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm import Arm
 from pinposture.kernels.arrays import JointHistory
-from pinposture.kernels.joint_response import MOST_MOVED, MOVED, MOVED_DEVIATIONS
+from pinposture.kernels.joint_response import JOINT_RESPONSE
 from pinposture.schema import Declared, Duration, JointDistance, Time, declared
 
 Array = NDArray[np.float64]
@@ -198,14 +198,15 @@ class DriveResponse:
         """Return the lead at which each joint would start noticeably, (nv,) [rad or m]."""
         units = self.arm.joint_units
         noise = np.sqrt(self.history.variances) / units
-        noticed = NOTICED * np.clip(MOVED_DEVIATIONS * noise, MOVED, MOST_MOVED)
+        response = JOINT_RESPONSE
+        noticed = NOTICED * np.clip(response.moved_deviations * noise, response.moved, response.most_moved)
         known = max(float((self._leads / units).max()), 0.0)
         return np.asarray((known + noticed) * units)
 
     def _watch_stopped(self, dt: float) -> None:
         """Release the joints that follow again."""
         self._stopped_for += dt
-        least = 0.5 * MOVED * self.arm.joint_units
+        least = 0.5 * JOINT_RESPONSE.moved * self.arm.joint_units
         moved = (self.history.anchors - self._found) * self._direction
         self.stopped = self.stopped & (moved < least)
         if not self.stopped.any() or (

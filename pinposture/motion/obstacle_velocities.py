@@ -10,7 +10,7 @@ from pinposture._validation import LARGEST_LENGTH
 from pinposture.collision import Scene
 from pinposture.collision.obstacles import Obstacle
 from pinposture.collision.scene import Twist
-from pinposture.kernels.rate_of_change import FEWEST
+from pinposture.kernels.rate_of_change import RATE_FIT
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class PoseHistory:
         self._times = np.append(self._times[1 - POSES :], time)
         self._places = np.vstack([self._places[1 - POSES :], place])
         self._axes = np.vstack([self._axes[1 - POSES :], axes])
-        if len(self._times) >= FEWEST:
+        if len(self._times) >= RATE_FIT.fewest:
             self._estimate(pose.rotation)
 
     def velocity(self, time: float) -> Twist | None:
@@ -75,8 +75,8 @@ class PoseHistory:
     def _is_overdue(self, time: float) -> bool:
         """Whether another pose would have come by now if the obstacle still moved."""
         patience = FIRST_PICTURE
-        if len(self._times) >= FEWEST:
-            patience = PICTURES * float(np.diff(self._times[-FEWEST - 1 :]).max())
+        if len(self._times) >= RATE_FIT.fewest:
+            patience = PICTURES * float(np.diff(self._times[-RATE_FIT.fewest - 1 :]).max())
         return bool(time - self._times[-1] > patience)
 
     def _estimate(self, rotation: Array) -> None:
@@ -86,7 +86,7 @@ class PoseHistory:
         turn = np.zeros(9)
         turns = kernels.fit_rate(self._times, self._axes, EXACT_POSE, turn)
         self._uncertain = 0 if moves and turns else self._uncertain + 1
-        if 0 < self._uncertain < FEWEST:
+        if 0 < self._uncertain < RATE_FIT.fewest:
             return
         spin = turn.reshape(3, 3) @ rotation.T
         angular = 0.5 * np.array([spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]])
