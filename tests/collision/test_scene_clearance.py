@@ -179,9 +179,7 @@ def test_tubes_that_slide_in_one_another_may():
 
 def test_an_arm_can_hit_its_own_base_but_a_base_hits_nothing():
     ball = geometry('<sphere radius="0.03"/>', "0.1 0 0")
-    arm = pp.Arm.load(
-        described([ball] * 4, base=geometry('<box size="0.1 0.4 0.1"/>', "-0.2 0 0")), modules=2
-    )
+    arm = pp.Arm.load(described([ball] * 4, base=geometry('<box size="0.1 0.4 0.1"/>', "-0.2 0 0")), split=2)
     scene = Scene({"floor": Sphere((-0.2, 0, 0), 0.1)}, self_collision=True)
     clearance = CollisionModel(arm, scene)
     assert ("l0", "floor") not in clearance.pairs and ("l1", "l0") not in clearance.pairs

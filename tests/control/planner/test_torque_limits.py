@@ -207,7 +207,7 @@ def test_a_start_and_a_goal_that_cannot_be_held_are_refused_with_what_is_too_muc
 def random_motion(seed: int) -> tuple[pp.Arm, np.ndarray, np.ndarray, np.ndarray]:
     """An arm with a slide, its posture, and two steps in a row."""
     rng = np.random.default_rng(seed)
-    arm = template_arm("RyRz", 3).with_payload(0.2) if seed % 2 else pp.Arm.load(SLIDE, modules=1)
+    arm = template_arm("RyRz", 3).with_payload(0.2) if seed % 2 else pp.Arm.load(SLIDE, split=1)
     q = arm.integrate(arm.neutral(), rng.uniform(-0.3, 0.3, arm.nv))
     return arm, q, *(0.02 * rng.normal(size=(2, arm.nv)))
 
