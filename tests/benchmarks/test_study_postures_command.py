@@ -73,7 +73,7 @@ def test_a_study_is_saved_even_if_nobody_reads_what_is_printed(command, tmp_path
 @pytest.mark.studies
 def test_a_loaded_arm_and_the_files_that_are_left(command, arm_file, tmp_path):
     out = tmp_path / "new"
-    done = command(*QUICK, "--urdf", arm_file, "--modules", 2, "--cases", 10, "--seed0", 4, "-o", out)
+    done = command(*QUICK, "--urdf", arm_file, "--split", 2, "--cases", 10, "--seed0", 4, "-o", out)
     assert done.code == 0
     assert sorted(path.name for path in out.iterdir()) == ["cases.csv", "postures.png", "summary.json"]
     assert done.err.splitlines() == [f"wrote {out / name}" for name in ("cases.csv", "postures.png")] + [
@@ -147,7 +147,7 @@ def test_help_has_paragraphs_and_examples(command, verb):
         ("postures --arms ryrz20,", "--arms is 'ryrz20,'"),
         ("postures --arms ryrz20,ryrz20", "each once"),
         ("postures --arms ryrz20 --urdf ARM", "--arms is 'ryrz20'"),
-        ("postures --modules 2", "only together with --urdf"),
+        ("postures --split 2", "only together with --urdf"),
         ("postures --urdf ARM/none.urdf", "none.urdf"),
         ("postures --controllers simplex", "'simplex'"),
         ("postures --controllers joint,,lm", "--controllers"),

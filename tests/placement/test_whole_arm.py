@@ -99,7 +99,7 @@ def test_such_an_arm_is_not_said_to_follow_a_helix(name):
 
 
 def test_control_points_on_the_curve_do_not_hide_links_beside_it():
-    arm = load(awkward_arms()["long_module7"], modules=7)  # one control point, at the tip
+    arm = load(awkward_arms()["long_module7"], split=7)  # one control point, at the tip
     helix = pp.Curve.helix(radius=0.06 * arm.length, pitch=0.15 * arm.length, turns=4)
     with pytest.warns(PostureWarning, match="does not follow the curve: its links are up to"):
         target = pp.resolve_targets(arm, helix)
