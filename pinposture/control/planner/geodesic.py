@@ -524,7 +524,8 @@ def _follow_path(now: _Situation) -> Step:
         if step is not None and now.moves(step):
             return now.remember_goal(step)
     step = advance(progress, state, now.bounds, now.box, avoidance)
-    if not now.moves(step):
+    # Without acceleration limits, an arm that gathers speed within its torques stops within a cycle.
+    if now.bounds.acceleration is not None and not now.moves(step):
         step = _within_torques(now, progress, step)
     at_rest = now.previous is None or not np.any(now.previous)
     if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
