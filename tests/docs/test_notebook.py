@@ -39,7 +39,7 @@ def shown(notebook: object) -> list[list[str]]:
 def test_the_kept_notebook_is_that_of_the_script(script: ModuleType) -> None:
     kept = nbformat.read(script.PATH, 4)
     assert sources(kept) == sources(script.make())
-    assert shown(kept) == [["text/html", "text/plain"]] * 4
+    assert shown(kept) == [["text/html", "text/plain"]] * 5
     assert script.PATH.stat().st_size < 1_000_000
 
 
@@ -48,5 +48,5 @@ def test_the_notebook_runs_and_shows_a_table_and_a_picture_in_each_cell(
     script: ModuleType, tmp_path: Path
 ) -> None:
     notebook = script.execute(tmp_path)
-    assert shown(notebook) == [["text/html", "text/plain"]] * 4
+    assert shown(notebook) == [["text/html", "text/plain"]] * 5
     assert (tmp_path / "motion.json").exists()
