@@ -289,7 +289,7 @@ def drag_a_point(trace: Any) -> None:
         begin = session.shape.points[1]
         drag = SimpleNamespace(phase="move", start_position=begin, end_position=begin + 0.02)
         with trace:
-            asyncio.run(handles._on_drag(1, drag))
+            asyncio.run(handles._drags[1].by_mouse(drag))
             editor._take_requests()
             editor._ask()
             solver._take(session.problem)

@@ -124,19 +124,19 @@ def test_a_batch_counts_the_postures_that_cannot_be_held() -> None:
 
 @pytest.mark.long
 def test_a_tracker_names_each_step_that_needs_more_torque_than_there_is() -> None:
-    """Targets jump at speed, so that steps leave the timing of their paths."""
+    """The target moves on in each cycle, without a limit of acceleration: steps leave the timing of a path."""
     rng = np.random.default_rng(3)
     arm = template_arm("RyRz", 6).with_effort(0.28)
-    limits = pp.Limits(step=None, velocity=2.0, acceleration=30.0, dt=0.01, effort=True)
+    limits = pp.Limits(step=None, velocity=2.0, dt=0.01, effort=True)
     tracker = Tracker(arm, limits=limits)
     data = arm.model.createData()
-    q = arm.straight()
+    q = q0 = arm.straight()
     before = np.zeros(arm.nv)
     told = []
-    for cycle in range(400):
-        if cycle % 25 == 0:
-            goal = smooth_configuration(arm, rng, rng.uniform(0.1, 0.8))
-            tracker.update(pp.Target.from_configuration(arm, goal))
+    goal = smooth_configuration(arm, rng, 0.5)
+    for cycle in range(200):
+        moved = min(cycle / 100.0, 1.0) * arm.difference(q0, goal)
+        tracker.update(pp.Target.from_configuration(arm, arm.integrate(q0, moved)))
         dq = tracker.step(q)
         speed = dq / limits.dt
         torques = pin.rnea(arm.model, data, q, (before + speed) / 2.0, (speed - before) / limits.dt)
@@ -150,4 +150,4 @@ def test_a_tracker_names_each_step_that_needs_more_torque_than_there_is() -> Non
         told += words
         before = speed
         q = arm.integrate(q, dq)
-    assert 0 < len(told) < 40
+    assert 0 < len(told) < 100

@@ -433,7 +433,9 @@ def _continue_path(now: _Situation) -> Step | None:
         if np.any(goal.motion):
             goal = goal._replace(motion=np.zeros(now.state.arm.nv))
     step = fast_step(before, now.state, now.bounds, now.previous, goal, avoidance)
-    return None if step is None or not now.moves(step) else step
+    if step is None or now.bounds.effort is None or now.moves(step):
+        return step
+    return None
 
 
 def _go_to_goal(now: _Situation) -> Step | None:
@@ -521,7 +523,7 @@ def _follow_path(now: _Situation) -> Step:
     avoidance = now.avoidance(progress)
     if progress is not before and (avoidance is None or avoidance.still):
         step = fast_step(progress, state, now.bounds, now.previous, avoidance=avoidance)
-        if step is not None and now.moves(step):
+        if step is not None and (now.bounds.effort is None or now.moves(step)):
             return now.remember_goal(step)
     step = advance(progress, state, now.bounds, now.box, avoidance)
     # Without acceleration limits, an arm that gathers speed within its torques stops within a cycle.
