@@ -31,7 +31,7 @@ For the robot, a run becomes a joint trajectory:""",
     """joints = run.joint_trajectory()
 pp.save(joints, "motion.json")  # trajectory_msgs/msg/JointTrajectory
 joints""",
-    """Arms have weight. Where masses and torque limits are known, the verdict of a run tells which joint lacks torque:""",
+    "Arms have weight. Where masses and torque limits are known, a run tells which joint lacks torque:",
     """heavy = arm.with_payload("0.2 kg").with_effort(1.0)  # at the tip; N m of each motor
 pp.track(heavy, target, heavy.straight(), limits=limits)""",
 )
