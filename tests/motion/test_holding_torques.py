@@ -124,7 +124,7 @@ def test_a_batch_counts_the_postures_that_cannot_be_held() -> None:
 
 @pytest.mark.long
 def test_a_tracker_names_each_step_that_needs_more_torque_than_there_is() -> None:
-    """The target moves on in each cycle, without a limit of acceleration: steps leave the timing of a path."""
+    """The target moves on in each cycle, without a limit of acceleration: steps leave the timing."""
     rng = np.random.default_rng(3)
     arm = template_arm("RyRz", 6).with_effort(0.28)
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, effort=True)

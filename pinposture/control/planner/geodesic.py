@@ -433,9 +433,8 @@ def _continue_path(now: _Situation) -> Step | None:
         if np.any(goal.motion):
             goal = goal._replace(motion=np.zeros(now.state.arm.nv))
     step = fast_step(before, now.state, now.bounds, now.previous, goal, avoidance)
-    if step is None or now.bounds.effort is None or now.moves(step):
-        return step
-    return None
+    kept = step is None or now.bounds.effort is None or now.moves(step)
+    return step if kept else None
 
 
 def _go_to_goal(now: _Situation) -> Step | None:
