@@ -35,6 +35,7 @@ class Excess(NamedTuple):
 
     Attributes:
         kind: what disturbed it.
+        acceleration: limit of acceleration [rad/s^2]; None: no limit.
         share: largest torque relative to its limit.
         cycles: number of cycles in which a torque exceeded its limit.
         named: number of cycles in which the report names the torque limit.
@@ -42,6 +43,7 @@ class Excess(NamedTuple):
     """
 
     kind: str
+    acceleration: float | None
     share: float
     cycles: int
     named: int
@@ -105,7 +107,8 @@ def run(seed: int) -> Excess:
     target = tracker.target
     assert target is not None
     error = target.mean_distance(arm.at(q).points) / max(target.mean_distance(arm.at(start).points), 1e-9)
-    return Excess(kind, float(found.max()), int(np.sum(found > 1.0 + 1e-6)), named, error)
+    cycles = int(np.sum(found > 1.0 + 1e-6))
+    return Excess(kind, acceleration, float(found.max()), cycles, named, error)
 
 
 def main() -> None:
