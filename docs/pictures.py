@@ -372,7 +372,8 @@ SHOWN = 8
 def wrapping_frame(arm: pp.Arm, q: Array, can: pp.Cylinder, note: str) -> Image.Image:
     """Draw one frame: an arm at q, in front of a can or behind it."""
     figure, ax = above_floor(arm, q)
-    start, end = np.array(can.start), np.array(can.end)
+    start = np.array(can.start)
+    end = np.array(can.end)
     axis = (end - start) / np.linalg.norm(end - start)
     side = np.cross(axis, (1.0, 0.0, 0.0))
     side /= np.linalg.norm(side)

@@ -58,7 +58,8 @@ def draw(rng: np.random.Generator) -> Draw:
     """Return a random cylinder in front of the arm."""
     distance = rng.uniform(0.3, 0.55)
     angle = np.radians(rng.uniform(-25.0, 25.0))
-    x, y = distance * np.cos(angle), distance * np.sin(angle)
+    x = distance * np.cos(angle)
+    y = distance * np.sin(angle)
     radius = rng.uniform(0.03, 0.08)
     half = HEIGHT / 2.0
     can = pp.Cylinder((x, y, -half), (x, y, half), radius)

@@ -159,7 +159,7 @@ class StepTorques:
         masses = found[1:] - found[0]
         return np.asarray(0.5 * (masses + masses.T))
 
-    def sides(self, dq: Array) -> tuple[Array, Array]:
+    def rows(self, dq: Array) -> tuple[Array, Array]:
         """Return the limits of the torques of steps near dq (nv,), as shares of the limits.
 
         Returns:

@@ -383,7 +383,8 @@ class _Wrap:
             if abs(overlap) <= TOUCHES * arm.length:
                 return _Found(first, opened, self._clear(opened, way))
             gap += overlap
-        raise TaskError(self.where, f"the arm is {length_text(abs(overlap))} off where it would touch")
+        away = length_text(abs(overlap))
+        raise TaskError(self.where, f"the arm is {away} off where it would touch: its modules are too long")
 
     def _winding(self, gap: float) -> Winding:
         """Return the curve around the object at a distance [m]."""
@@ -399,7 +400,9 @@ class _Wrap:
         wrapped = 1 + int(np.searchsorted(np.cumsum(lengths[::-1]), needed))
         if wrapped >= arm.n_modules:
             most = length_text(float(lengths[1:].sum()))
-            reason = f"the turns are {length_text(needed)} long, and all modules but one {most}"
+            reason = (
+                f"the turns are {length_text(needed)} long, and all modules but one {most}; ask for fewer"
+            )
             raise TaskError(self.where, reason)
         return arm.n_modules - wrapped - 1
 
@@ -418,6 +421,7 @@ class _Wrap:
         if error > REACHED * arm.length:
             away = length_text(float(np.linalg.norm(winding.points[0] - arm.chain.base)))
             reason = f"it begins {away} from the base, and the {first + 1} free modules do not get there"
+            reason += "; ask for fewer turns, or move the object"
             raise TaskError(self.where, reason)
         q = self._straightened(state.q, first)
         closest = self.model.minimum(q)

@@ -13,6 +13,7 @@ from pinposture import kernels
 from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.arm.arm import arm_of
+from pinposture.collision import Scene
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import (
     LIMIT_ROUNDING,
@@ -229,6 +230,12 @@ class PathProgress(NamedTuple):
     def towards(self, target: Target) -> PathProgress:
         """Return this progress with another target."""
         return self._replace(objective=self.objective.with_target(target), ahead=None)
+
+    def among(self, scene: Scene | None) -> PathProgress:
+        """Return this progress among other obstacles, beside which `GeodesicMemory.braked` stops."""
+        if self.path.scene is scene:
+            return self
+        return self._replace(timed=replace(self.timed, path=self.path.revised(scene=scene)), ahead=None)
 
     @classmethod
     def begin(cls, timed: TimedPath, previous: Array | None = None) -> PathProgress:

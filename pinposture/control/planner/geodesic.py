@@ -331,9 +331,11 @@ class _Situation:
         before = memory.progress if isinstance(memory, GeodesicMemory) else None
         if before is not None and before.objective.target is not target and before.on_schedule:
             before = before.towards(target)
+        self.bounds = limits.for_arm(state.arm)
+        if before is not None and self.bounds.effort is not None:
+            before = before.among(controller.scene)
         self.before = before
         self.previous = None if memory is None else memory.dq
-        self.bounds = limits.for_arm(state.arm)
         self.limited_only = controller.scene is None and not (controller.tasks or controller.constraints)
         self.direct = self.limited_only and (before is None or not before.on_schedule)
         self.goal: Goal | None = None
@@ -555,7 +557,7 @@ def _within_torques(now: _Situation, progress: PathProgress, step: Step) -> Step
     gradient = -hessian @ objective.normalize(step.dq)
     dq = step.dq
     for _ in range(TORQUE_ITERATIONS):
-        matrix, least = torques.sides(dq)
+        matrix, least = torques.rows(dq)
         limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
         found = solve(
             hessian,

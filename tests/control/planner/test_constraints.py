@@ -205,7 +205,8 @@ class Apart:
 @pytest.mark.parametrize(("first", "last", "named"), ((0.0, -0.3, "start"), (-0.3, 0.05, "goal")))
 def test_a_path_names_the_constraint_that_an_end_violates(first: float, last: float, named: str) -> None:
     short = template_arm("RyRz", 3)
-    start, goal = np.full(short.nq, first), np.full(short.nq, last)
+    start = np.full(short.nq, first)
+    goal = np.full(short.nq, last)
     path = pp.plan(short.at(start), pp.Target.from_configuration(short, goal), constraints=[Apart()])
     missing = 100.0 if named == "start" else 50.0
     assert f"at the {named}, constraint: Apart is violated by {missing:g} mm" in path.blocked_by

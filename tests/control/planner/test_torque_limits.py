@@ -221,7 +221,7 @@ def test_torques_of_a_step_are_those_of_pinocchio_and_their_rows_are_tangent_to_
     data = arm.model.createData()
     expected = pin.rnea(arm.model, data, q, (before + dq) / (2 * dt), (dq - before) / dt**2)
     np.testing.assert_allclose(torques.of(dq), expected, atol=1e-9 * np.abs(expected).max())
-    matrix, least = torques.sides(dq)
+    matrix, least = torques.rows(dq)
     room = matrix @ dq - least  # to the upper and to the lower limits, with a reserve of a thousandth
     shares = expected / ((1.0 - LINEARISED) * effort)
     np.testing.assert_allclose(room, np.concatenate([1.0 + shares, 1.0 - shares]), rtol=1e-9)
@@ -390,3 +390,24 @@ def test_a_replanned_path_keeps_the_torque_limits_of_the_first() -> None:
     step = controller.step(away, pp.Target.from_configuration(arm, other), limits, memory)
     assert step.memory.progress is not None
     assert step.memory.progress.timed.torques is not None
+
+
+def test_an_arm_brakes_on_its_path_among_the_obstacles_that_there_are_now() -> None:
+    """A scene that replaces the one of the plan counts: a brake asks the path for its obstacles."""
+    rng = np.random.default_rng(5)
+    arm = pp.Arm.from_template("RyRz", 8, link_lengths=(0.06, 0.06))
+    start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
+    effort = 1.1 * float(np.abs([arm.at(q).gravity_torques for q in (start, goal)]).max())
+    limits = pp.Limits(step=None, velocity=2.0, acceleration=20.0, dt=0.01, effort=effort)
+    target = pp.Target.from_configuration(arm, goal)
+    far, farther = (
+        pp.Scene({"ball": pp.Sphere((0.0, 0.0, z), 0.02)}, self_collision=False) for z in (5.0, 6.0)
+    )
+    q = start
+    memory = None
+    for scene in [far] * 20 + [farther] * 2:
+        step = pp.Geodesic(scene=scene).step(arm.at(q), target, limits, memory)
+        q = arm.integrate(q, step.dq)
+        memory = step.memory
+        assert memory.progress.path.scene is scene
+    assert memory.progress.can_stop(arm.chain_at(q))
