@@ -172,7 +172,7 @@ class Arm(ConfigurationSpace):
         self._described = model
         self.added: tuple[Added, ...] = added_masses(weight, model, self.chain, self.control_points, self.tip)
         self._masses_checked = False
-        self._effort_checked = False
+        self._warned: set[str] = set()  # shared with arms that are derived from this one
         drives = report.drives if report else ()
         self.effort = _read_only(effort_limits(model, weight, drives))
         self._springs: Array | None = None
@@ -822,7 +822,7 @@ class Arm(ConfigurationSpace):
         return self._made_again(spec, self.characteristic_length, self.weight)
 
     def _made_again(self, spec: ArmSpec | None, unit: float, weight: Weight) -> Arm:
-        return Arm(
+        again = Arm(
             self._described,
             self.control_points,
             self.base_placement,
@@ -832,6 +832,14 @@ class Arm(ConfigurationSpace):
             spec=spec,
             weight=weight,
         )
+        again._warned = self._warned
+        return again
+
+    def _warn_once(self, message: str) -> None:
+        """Warn the caller of this arm, or of one that it is derived from, for the first time."""
+        if message not in self._warned:
+            self._warned.add(message)
+            warn_caller(message)
 
     def with_payload(
         self,
@@ -953,7 +961,7 @@ class Arm(ConfigurationSpace):
             warnings.append(f"{enumerated([repr(name) for name in parts], 6)} {counted}; {REMEDY}")
         if warns:
             for message in warnings:
-                warn_caller(message)
+                self._warn_once(message)
             self._masses_checked = True
 
     @cached_property
@@ -1024,9 +1032,8 @@ class Arm(ConfigurationSpace):
         unknown = [self.joint_names[u] for u in np.flatnonzero(np.isinf(self.effort))]
         if len(unknown) == self.nv:
             raise WeightUnknown("torque limit", unknown, EFFORT_REMEDY)
-        if unknown and warns and not self._effort_checked:
-            warn_caller(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
-            self._effort_checked = True
+        if unknown and warns:
+            self._warn_once(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
 
     @property
     def stiffness(self) -> Array:

@@ -433,6 +433,7 @@ def test_impossible_numbers_are_named() -> None:
     assert words[0].startswith("no solid has the moments of inertia of 'l1'")
     assert words[1].startswith("the centre of mass of 'l1' is 50 m from its frame, 250 times the length")
     _ = arm.at(np.ones(2)).gravity_torques  # said once
+    _ = arm.with_payload(0.1).with_effort(2.0).at(np.ones(2)).gravity_torques  # nor of one derived from it
 
 
 # Saving.

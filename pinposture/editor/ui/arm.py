@@ -32,6 +32,7 @@ from pinposture.editor.ui.parts import (
     Request,
     color,
     framed_html,
+    legend_html,
     put,
     quaternions,
 )
@@ -47,7 +48,19 @@ from pinposture.viz.postures import POSTURES, drawn_length, principal_frame
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
-COLORINGS = ("joints at limits", "distance from singularity", "modules only", "torque at rest")
+COLORINGS = {
+    "joints at limits": ((THEME.mark, "a joint at a limit"),),
+    "distance from singularity": (
+        (palette.index_color(0.0), "singular"),
+        (palette.index_color(0.25 * THEME.regular_index), "near"),
+        (palette.index_color(THEME.regular_index), "far from it"),
+    ),
+    "modules only": (),
+    "torque at rest": tuple((shade, meaning) for _, shade, _, meaning in LOADS),
+}
+"""By what bodies are coloured: for each choice, the colours and what they mean."""
+
+AT_LIMITS, NEAR_SINGULAR, _, TORQUES = COLORINGS
 
 
 class ArmLook(NamedTuple):
@@ -168,16 +181,16 @@ def _group_alike(surfaces: tuple[TriangleMesh, ...]) -> list[tuple[TriangleMesh,
 
 def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
     """Return the colours of the bodies, (n, 3), by one of `COLORINGS`; their own shades are the default."""
-    if coloring == COLORINGS[0] and np.any(live.at_limit):
+    if coloring == AT_LIMITS and np.any(live.at_limit):
         colors: Colors = shades.copy()
         colors[live.at_limit[live.arm.chain.input_numbers]] = color(THEME.mark)
         return colors
-    if coloring == COLORINGS[1]:
+    if coloring == NEAR_SINGULAR:
         indices = stretch_indices(live.state)
         shown = [color(palette.index_color(float(index))) for index in indices]
         by_module: Colors = np.array(shown, dtype=np.uint8)
         return np.repeat(by_module, [len(joints) for joints in live.arm.module_joints], axis=0)
-    if coloring == COLORINGS[3] and live.arm.torques_known:
+    if coloring == TORQUES and live.arm.torques_known:
         return np.array([color(LOADS[level][1]) for level in load_levels(live.state)], dtype=np.uint8)
     return shades
 
@@ -351,8 +364,8 @@ class ArmTab:
         controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
         self._numbers = [self._add_number(gui, bind, each) for each in NUMBERS if each.kind is Limits]
         at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
-        hint = "Red: at a limit, near singular, or beyond its torque"
-        self._coloring = gui.add_dropdown("Colours", COLORINGS, hint=hint)
+        self._coloring = gui.add_dropdown("Colours", tuple(COLORINGS), hint="What the colours of bodies tell")
+        self._meaning = gui.add_html("")
         hint = "Manipulability; red and flat: singular"
         self._with_ellipsoids = gui.add_checkbox("Ellipsoids", False, hint=hint)
         self._choices = (
@@ -393,8 +406,16 @@ class ArmTab:
             self._steps = live.steps
             self._due = now + LOOK.facts_period
             put(self._facts, content=_facts(live))
+        put(self._meaning, content=_meaning(self._coloring.value, live.arm))
         self._drawing.paint(body_colors(self._coloring.value, live, self._drawing.shades))
         self._ellipsoids.show(live.state, live.steps, self._with_ellipsoids.value)
+
+
+def _meaning(coloring: str, arm: Arm) -> str:
+    """Return what the colours of bodies mean, as HTML."""
+    if coloring == TORQUES and not arm.torques_known:
+        return legend_html([(THEME.rest, "masses or torque limits are not known")])
+    return legend_html(COLORINGS[coloring])
 
 
 def _payload_of(session: Session) -> float:

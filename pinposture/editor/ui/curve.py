@@ -26,6 +26,7 @@ from pinposture.editor.ui.parts import (
     add_lines,
     color,
     coordinate_digits,
+    legend_html,
     on_change,
     on_choice,
     put,
@@ -472,7 +473,7 @@ class ShapeTab:
         )
         on_change(self._step, lambda step: post(partial(set_grid, MILLIMETRE * step if snap.value else 0.0)))
         on_choice(edit, lambda what: post(POINT_ACTIONS[what]))
-        gui.add_html(_legend())
+        gui.add_html(legend_html(LEGEND))
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
@@ -514,14 +515,6 @@ class ShapeTab:
                 session.handles = chosen
 
         return request
-
-
-def _legend() -> str:
-    """Return the legend of the picture, as HTML."""
-    style = "display:inline-block;width:18px;height:8px;border-radius:2px;margin-right:8px"
-    lines = [f'<div><span style="{style};background:{shade}"></span>{words}</div>' for shade, words in LEGEND]
-    flow = "display:flex;flex-wrap:wrap;column-gap:14px"
-    return f'<div style="font-size:12px;line-height:1.4;padding:4px 12px;{flow}">{"".join(lines)}</div>'
 
 
 POINT_ACTIONS = {

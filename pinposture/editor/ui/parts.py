@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -68,6 +68,18 @@ def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -
         f'<div id="{name}" style="border-left:4px solid {shade};padding-left:8px">'
         f"<b>{title}</b><br>{text}</div>{below}</div>"
     )
+
+
+def legend_html(rows: Iterable[tuple[str, str]]) -> str:
+    """Return a legend, as HTML.
+
+    Args:
+        rows: colours, and what they mean.
+    """
+    style = "display:inline-block;width:18px;height:8px;border-radius:2px;margin-right:8px"
+    lines = [f'<div><span style="{style};background:{shade}"></span>{words}</div>' for shade, words in rows]
+    flow = "display:flex;flex-wrap:wrap;column-gap:14px"
+    return f'<div style="font-size:12px;line-height:1.4;padding:4px 12px;{flow}">{"".join(lines)}</div>'
 
 
 def on_change(control: Any, act: Callable[[Any], None]) -> None:

@@ -45,6 +45,8 @@ def test_payload_and_torque_limits_are_typed_and_seen(edit: Edit, look: Look, fi
         return int(np.all(editor.page._arm._colors == shade, axis=1).sum())
 
     wait_until(lambda: painted(worst) > 0, "the joints beyond their torque are seen")
+    for _, _, _, meaning in LOADS:
+        window.page.get_by_text(meaning, exact=True).wait_for()
     window.picture("torques")
     window.field("Torque [N m]").fill("200")
     wait_until(lambda: session.history.undoable == "torque limit 200", "they are stronger")
