@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import isfinite
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,10 +17,6 @@ FOLLOW_TIME = 0.2
 """Time for which a command moves on before a joint that stands counts as stopped [s]. Delays of drives and
 readings together are shorter: 0.14 s and 0.05 s in logs of robots. A joint that starts later than that costs
 a short hold."""
-
-USUAL_LEAD = 0.75
-"""Lead that may be needed to start a joint that has not moved yet, in `max_tracking_error`: 0.225 rad by
-default. Friction in logs of a snake corresponds to 0.06 to 0.21 rad."""
 
 LEAD_FACTOR = 2.0
 LEAD_MARGIN = 0.05
@@ -42,6 +36,11 @@ NOISE = 5e-4
 """Noise of measurements that is assumed at first, in `Arm.joint_units`; 3e-4 rad in logs of a robot."""
 
 
+ERRORS = 4.0
+"""Deviation from a model of drives that is usual, in its `DriveModel.error`: slow disturbances are no white
+noise, so that three standard deviations would not do. tests/motion/test_drive_response.py bounds it."""
+
+
 @declared()
 class DriveModel(Declared):
     """How the position drives of joints follow a command c: lag * dq/dt = e - friction * sign(e).
@@ -57,12 +56,24 @@ class DriveModel(Declared):
         friction: Coulomb friction, as an angle of the command [rad or m].
         stiction: static friction beyond that [rad or m].
         delay: age of the commands that reach the drives [s].
+        error: root mean square of what this model does not explain of the positions [rad or m].
     """
 
     lag: Duration = 0.32
     friction: JointDistance = 0.11
     stiction: JointDistance = 0.0
     delay: Time = 0.008
+    error: JointDistance = 0.065
+
+    @property
+    def starting_lead(self) -> float:
+        """How far ahead a command must be to start a joint [rad or m]."""
+        return self.friction + self.stiction
+
+    @property
+    def tracking_error(self) -> float:
+        """How far a joint may be from where the model has it while nothing is wrong [rad or m]."""
+        return self.starting_lead + ERRORS * self.error
 
     def lead(self, velocities: Array, slow: Array) -> Array:
         """Return how far ahead of their positions joints have to be commanded to move, (n,) [rad or m].
@@ -89,15 +100,15 @@ class DriveResponse:
 
     Args:
         arm: the arm.
-        max_tracking_error: see `Tracker`.
+        usual_lead: lead that may be needed to start a joint that has not moved yet, in `Arm.joint_units`.
         positions_sent: whether the drives are sent positions, so that a stopped one starts at a lead.
     """
 
-    def __init__(self, arm: Arm, max_tracking_error: float, positions_sent: bool) -> None:
+    def __init__(self, arm: Arm, usual_lead: float, positions_sent: bool) -> None:
         self.arm = arm
         self._positions_sent = positions_sent
         self._units = np.array(arm.joint_units)  # writable, as kernels take arrays
-        self._unknown = USUAL_LEAD * (max_tracking_error if isfinite(max_tracking_error) else 1.0)
+        self._unknown = usual_lead
         self._blocked = np.zeros(arm.nv, dtype=np.bool_)
         self._leads = np.full(arm.nv, -1.0)
         self.followed = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sized
-from math import exp, isinf
+from math import exp, isfinite, isinf
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -13,7 +13,13 @@ from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import FULL_TURN
 from pinposture.errors import InvalidValue
-from pinposture.motion.drive_response import FOLLOW_TIME, DriveResponse
+from pinposture.motion.drive_response import (
+    FOLLOW_TIME,
+    LEAD_FACTOR,
+    LEAD_MARGIN,
+    DriveModel,
+    DriveResponse,
+)
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -25,8 +31,15 @@ MAX_POINT_OFFSET = 0.25
 """Distance of a measured control point from forward kinematics that discards it, in arm lengths."""
 
 
+TRACKING_ERROR = 0.3
+"""Tracking error that is allowed of drives of which nothing is known, in `Arm.joint_units`."""
+
 LONGEST_LAG = 0.5
 """Longest time constant of drives that lag behind their commands [s]; 0.18 to 0.38 s in logs of robots."""
+
+USUAL_LEAD = 0.75
+"""Lead that may be needed to start a joint that has not moved yet, in tracking errors that are allowed: 0.225
+rad by default. Friction in logs of a snake corresponds to 0.06 to 0.21 rad."""
 
 
 SLOWEST_AVERAGE = 4.0 * LONGEST_LAG
@@ -114,8 +127,8 @@ class FeedbackState(NamedTuple):
         state: state from which the next step starts: the command with a position interface, else the
             measurement; None before the first measurement.
         reason: why the arm must hold; empty if it need not.
-        tracking_error: largest distance of a measured joint position from where drives with a lag of up to
-            `LONGEST_LAG` would be, in `Arm.joint_units`; None without a usable measurement.
+        tracking_error: largest distance of a measured joint position from where drives with their lag, or one
+            of up to `LONGEST_LAG`, would be, in `Arm.joint_units`; None without a usable measurement.
         held: where to hold: the command, with joints that do not follow it back at their measurements. None:
             the arm brakes and holds.
     """
@@ -138,8 +151,8 @@ class Feedback:
     moving it; and for a joint that has come to rest on either side of its target, because its drive cannot
     resolve the rest. Each time that happens, T is doubled for the joint. |b| is at most `max_tracking_error`.
 
-    A measurement is plausible if a drive could be there: between the command, the command filtered with
-    `LONGEST_LAG`, and c + b, or within `max_tracking_error` of them.
+    A measurement is plausible if a drive could be there: between the command, the command filtered with the
+    lag of the drives, and c + b, or within `max_tracking_error` of them.
 
     Attributes:
         state: the state of the arm at the command; None before the first measurement.
@@ -163,9 +176,17 @@ class Feedback:
         time_constant: T [s]; 0 with a velocity interface: each step starts from the measurement.
         max_tracking_error: see `Tracker`.
         resync_time: see `Tracker`.
+        drives: how the drives follow; None: unknown.
     """
 
-    def __init__(self, arm: Arm, time_constant: float, max_tracking_error: float, resync_time: float) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        time_constant: float,
+        max_tracking_error: float | None,
+        resync_time: float,
+        drives: DriveModel | None = None,
+    ) -> None:
         self.arm = arm
         self.state: ArmState | None = None
         self.positions: Array | None = None
@@ -174,9 +195,19 @@ class Feedback:
         self.points: Array | None = None
         self.deviation = np.zeros((arm.n_modules, 3))
         self.settled = False
-        self.response = DriveResponse(arm, max_tracking_error, time_constant > 0.0)
         self._time_constant = time_constant
-        self._max_difference = max_tracking_error
+        self._most_compensated = TRACKING_ERROR if max_tracking_error is None else max_tracking_error
+        if drives is None:
+            self._lag = LONGEST_LAG
+            allowed = self._most_compensated
+            lead = USUAL_LEAD * (allowed if isfinite(allowed) else 1.0)
+        else:
+            unit = arm.characteristic_length if np.all(arm.in_metres) else 1.0
+            self._lag = drives.lag + drives.delay
+            allowed = max(drives.tracking_error / unit, LEAD_MARGIN)
+            lead = LEAD_FACTOR * drives.starting_lead / unit + LEAD_MARGIN
+        self._max_difference = allowed if max_tracking_error is None else max_tracking_error
+        self.response = DriveResponse(arm, lead, time_constant > 0.0)
         self._patience = resync_time
         self._deviating: Array | None = None
         self._agreed_for = 0.0
@@ -295,7 +326,7 @@ class Feedback:
     def _excess(self, positions: Array, dt: float) -> Array:
         """Return the distances of joint positions from where drives could be, (nv,), in `Arm.joint_units`."""
         command = cast(Array, self.positions)
-        self._lagging += (dt / (dt + LONGEST_LAG)) * (command - self._lagging)
+        self._lagging += (dt / (dt + self._lag)) * (command - self._lagging)
         expected = command + self._offset
         known = np.array([command, self._lagging, expected])
         excess = np.maximum(known.min(axis=0) - positions, positions - known.max(axis=0))
@@ -396,7 +427,7 @@ class Feedback:
         joint = int(np.abs(off / arm.joint_units).argmax())
         drive = arm.drives[joint]
         history = self.response.history
-        most = self._max_difference * arm.joint_units[joint]
+        most = self._most_compensated * arm.joint_units[joint]
         edge = arm.limits.lower[joint] if off[joint] > 0.0 else arm.limits.upper[joint]
         if abs(command[joint] - edge) <= LIMIT_TOLERANCE * arm.joint_units[joint]:
             why = f"its command is at the limit of the joint, {drive.ratio * edge + drive.offset:.4g}"
@@ -456,7 +487,7 @@ class Feedback:
     def _estimate(self, difference: Array, share: float) -> None:
         """Filter the estimate of b, for joints whose commands may go farther."""
         response = self.response
-        most = self._max_difference * self.arm.joint_units
+        most = self._most_compensated * self.arm.joint_units
         shares = np.where(response.compensable, share * 0.5**response.history.overshoots, 0.0)
         if not (response.followed or self._at_rest):
             shares = 0.0 * shares  # nothing is known of the drives yet

@@ -151,7 +151,8 @@ class DriveEstimate(NamedTuple):
             return None
         friction = 0.0 if self.friction is None else self.friction.value
         delay = 0.0 if self.delay is None else self.delay.value
-        return DriveModel(lag=self.lag.value, friction=friction, delay=delay)
+        error = 0.0 if self.rest is None else self.rest
+        return DriveModel(lag=self.lag.value, friction=friction, delay=delay, error=error)
 
     def as_data(self) -> dict[str, Any]:
         """Return it as data for JSON."""

@@ -36,7 +36,7 @@ from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
-from pinposture.motion.feedback import Feedback, FeedbackState, read_start
+from pinposture.motion.feedback import TRACKING_ERROR, Feedback, FeedbackState, read_start
 from pinposture.motion.loop import Loop, describe_binding_limits, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities
 from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
@@ -177,9 +177,10 @@ class Tracker:
         feedback_time_constant: time constant of the feedback of the tracking error [s]. It must be several
             times the delay of the drives, or the loop oscillates. Only for the position interface; infinite:
             no feedback.
-        max_tracking_error: distance of a measured joint position from where its drive could be, with a lag of
-            up to half a second, above which the arm holds without feedback, in `Arm.joint_units`; also the
-            largest compensation.
+        max_tracking_error: distance of a measured joint position from where its drive could be, above which
+            the arm holds without feedback, in `Arm.joint_units`; also the largest compensation. None: what
+            `drives` explain (`DriveModel.tracking_error`), at least 0.05; if they are unknown, 0.3 from
+            where a drive with a lag of up to half a second could be. The compensation is then at most 0.3.
         resync_time: how long larger differences must agree with each other before the tracker restarts from
             the measurement [s]. Infinite: the arm holds until `restart`.
         timeout: age at which a target expires [s]; infinite: never.
@@ -218,7 +219,7 @@ class Tracker:
         *,
         interface: Literal["position", "velocity"] = "position",
         feedback_time_constant: float = 0.25,
-        max_tracking_error: float = 0.3,
+        max_tracking_error: float | None = None,
         resync_time: float = 0.5,
         timeout: float = float("inf"),
         deadline: float = float("inf"),
@@ -243,7 +244,7 @@ class Tracker:
             ("resync_time", resync_time),
             ("timeout", timeout),
             ("deadline", deadline),
-            ("max_tracking_error", max_tracking_error),
+            ("max_tracking_error", TRACKING_ERROR if max_tracking_error is None else max_tracking_error),
         ):
             if not (is_number(value) and value > 0.0 and (value == inf or is_usable(value))):
                 raise InvalidValue(name, value, "a number > 0, or inf")
@@ -266,7 +267,11 @@ class Tracker:
         inner = self._of_command(limits)
         self._loop = Loop(arm.at(arm.neutral()), steps, inner, SmoothSteps(arm, inner))
         self._feedback = Feedback(
-            arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
+            arm,
+            feedback_time_constant if interface == "position" else 0.0,
+            max_tracking_error,
+            resync_time,
+            drives,
         )
         self._arrival = Arrival(arm.length)
         self._pursuit = Blockage(arm, self._feedback.averaging_time)

@@ -278,7 +278,7 @@ def test_a_sagging_arm_with_a_task_comes_to_rest_and_does_not_stall() -> None:
 
 
 def test_an_arm_that_only_falls_does_not_follow(arm: pp.Arm) -> None:
-    response = DriveResponse(arm, 0.3, positions_sent=True)
+    response = DriveResponse(arm, 0.225, positions_sent=True)
     for cycle in range(300):
         sent = np.full(arm.nv, 1e-3 * cycle)
         response.update(-0.05 * (DT * cycle) ** 2 * np.ones(arm.nv), sent, sent, DT)
@@ -465,6 +465,33 @@ def test_an_arm_with_known_drives_comes_to_rest_at_its_target() -> None:
     wrong = aimed(arm, DriveModel(), drives=DriveModel(lag=0.26, friction=0.09)).go(8.0)
     assert wrong.statuses[-1] in ("converged", "stalled")  # as without the model
     assert np.abs(wrong.true[-1] - 0.3).max() < 5e-3
+
+
+@pytest.mark.long
+def test_a_stopped_joint_of_known_drives_is_noticed_sooner_and_disturbances_are_not(arm: pp.Arm) -> None:
+    model = DriveModel(lag=0.2, friction=0.03, stiction=0.01, delay=0.02, error=0.008)
+    noticed = {}
+    for told in (None, model):
+        robot = aimed(arm, model, drives=told)
+        rng = np.random.default_rng(3)
+        statuses = []
+        for cycle in range(600):  # a slow disturbance of 8 mrad, and a joint that stops while it moves
+            change = 0.008 * np.sqrt(0.01) * rng.standard_normal(arm.nv)
+            robot.drives.sag = (1.0 - 0.005) * robot.drives.sag + change
+            if cycle == 500:
+                robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, -0.3)))
+            robot.drives.running[3] = cycle < 520
+            statuses += robot.go(DT).statuses
+        assert "holding" not in statuses[:520]
+        noticed[told] = statuses.index("holding") - 520
+        assert "joint 'm02_j2_z'" in robot.tracker.report.reason
+    assert noticed[model] < 0.6 * noticed[None]
+
+
+def test_a_model_tells_how_far_drives_may_be_off() -> None:
+    model = DriveModel(lag=0.2, friction=0.03, stiction=0.01, delay=0.02, error=0.005)
+    assert model.starting_lead == pytest.approx(0.04)
+    assert model.tracking_error == pytest.approx(0.06)
 
 
 def test_the_lead_ends_at_position_limits_and_is_for_positions_alone() -> None:
