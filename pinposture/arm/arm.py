@@ -989,10 +989,9 @@ class Arm(ConfigurationSpace):
         if not self.torques_known or np.any(np.isinf(self.effort[columns])):
             return None
         state = self.chain_at(self.straight())
-        held = np.array([self.dynamics.gravity_torques(state.raw_positions, g) for g in np.eye(3)])
-        held = held.T[columns]
+        held = self._held_straight.T[columns]
         size = float(np.linalg.norm(self.model.gravity.linear))
-        torques = size * np.linalg.norm(held, axis=1)
+        torques = self.outstretched_torques[columns]
         shares = torques / self.effort[columns]
         weak = np.flatnonzero(shares > 1.0 + TORQUE_ROUNDING)
         first = int(weak[-1]) if len(weak) else int(shares.argmax())
@@ -1008,6 +1007,25 @@ class Arm(ConfigurationSpace):
             lever = -state.jacobians[-1].T[columns]
             payload = largest_payload(held, lever, self.effort[columns] / size)
         return HeldOut(length, load, payload)
+
+    @cached_property
+    def _held_straight(self) -> Array:
+        """The torques that hold the straight arm in gravity of 1 m/s^2 along each axis, (3, nv)."""
+        positions = self.chain_at(self.straight()).raw_positions
+        return np.array([self.dynamics.gravity_torques(positions, axis) for axis in np.eye(3)])
+
+    @property
+    def outstretched_torques(self) -> Array:
+        """The torques that hold the straight arm, for each joint in its worst direction, (nv,) [N m or N].
+
+        They are how much the weight of the arm can load its joints, for thresholds and tolerances.
+
+        Raises:
+            WeightUnknown: masses that are not known.
+        """
+        self.require_masses()
+        size = float(np.linalg.norm(self.model.gravity.linear))
+        return np.asarray(size * np.linalg.norm(self._held_straight, axis=0))
 
     @cached_property
     def torques_known(self) -> bool:

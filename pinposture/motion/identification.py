@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_instance
+from pinposture._validation import LARGEST_NUMBER, require_instance
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue, PostureError, enumerated
 from pinposture.motion.drive_fit import (
@@ -30,6 +30,7 @@ from pinposture.motion.drive_fit import (
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.joint_trajectory import METRE, RADIAN
 from pinposture.motion.log import Log
+from pinposture.motion.touch import DEFAULT_TIME_CONSTANT, Touch, TouchDetector, largest_of_kind
 
 Array = NDArray[np.float64]
 
@@ -74,6 +75,10 @@ NORMAL = 0.6745
 
 THIRD_DIFFERENCE = 20.0
 """Variance of the third difference of white noise, in variances of the noise."""
+
+TOUCH_MARGIN = 2.0
+"""Threshold of touch, in the largest torque that the model does not explain in logs without contact; tested on
+motions twice as fast, that are not in the log (tests/motion/test_touch.py)."""
 
 MOST_NAMED = 6
 """Most reasons in a representation."""
@@ -225,6 +230,62 @@ class Identification:
             why = self.not_identified.get("lag", "the logs do not tell")
             raise InvalidValue("model", None, f"a lag that is identified; it is not: {why}")
         return model
+
+    def touch(
+        self, reaction: Literal["stop", "yield"] = "stop", time_constant: float = DEFAULT_TIME_CONSTANT
+    ) -> Touch:
+        """Return how a `Tracker` notices that something touches this robot.
+
+        The thresholds are twice the largest torque, and force, that masses and motion do not explain in the
+        logs: friction, noise and wrong masses count.
+
+        Args:
+            reaction: as for `Touch`.
+            time_constant: as for `Touch` [s].
+
+        Raises:
+            InvalidValue: logs without efforts, or in which weight is not known; says why.
+            UnknownName: another reaction.
+        """
+        allowed = "logs with efforts, of a robot that touched nothing"
+        if any(log.effort is None for log in self.logs):
+            raise InvalidValue("log.effort", None, allowed)
+        why = _unknown_loads(self.arm, self.logs)
+        if why:
+            raise InvalidValue("logs", len(self.logs), f"{allowed}; here {why}")
+        felt = np.max([self._felt(log, time_constant) for log in self.logs], axis=0)
+        most = TOUCH_MARGIN * largest_of_kind(self.arm, felt)
+        drives = self.arm.drives
+        threshold = {drive.joint: float(m / abs(drive.ratio)) for drive, m in zip(drives, most, strict=True)}
+        return Touch(threshold, reaction, time_constant)
+
+    def _felt(self, log: Log, time_constant: float) -> Array:
+        """Return the largest torques that masses and motion do not explain in a log, (nv,) [N m or N]."""
+        gravity = np.unique(np.atleast_2d(np.asarray(log.gravity)), axis=0)
+        if len(gravity) > 1:
+            raise InvalidValue("log.gravity", f"{len(gravity)} directions", "one: the base must not turn")
+        arm = self.arm.with_gravity(gravity[0])
+        payload = self.payload.value if log.payload is None and self.payload is not None else log.payload
+        if payload:
+            arm = arm.with_payload(payload)
+        columns = _columns_of(arm, log, {})
+        chosen = [columns[name] for name in arm.joint_names]
+        positions = np.column_stack([each.read(log.positions, log.degrees) for each in chosen])
+        effort = np.asarray(log.effort)
+        torques = np.column_stack([each.ratio * effort[:, each.place] for each in chosen])
+        usable = np.all(np.isfinite(positions) & np.isfinite(torques), axis=1)
+        detector = TouchDetector(arm, Touch(LARGEST_NUMBER, time_constant=time_constant))
+        felt = np.zeros(arm.nv)
+        before = -np.inf
+        for row in np.flatnonzero(_fresh_rows(log) & usable):
+            passed = float(log.time[row]) - before
+            if passed > LONGEST_GAP:
+                detector.restart()
+            if passed > 0.0:
+                detector.update(positions[row], torques[row], passed)
+            before = float(log.time[row])
+            felt = np.maximum(felt, np.abs(detector.torques))
+        return felt
 
     def predict(self, log: Log) -> Mapping[str, Prediction]:
         """Return where the one set of drives moves the joints of a log from their first measurements on.

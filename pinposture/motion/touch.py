@@ -27,6 +27,7 @@ from pinposture._validation import (
 from pinposture.arm import Arm
 from pinposture.arm.weight import load_of
 from pinposture.control import Limits
+from pinposture.errors import InvalidValue
 from pinposture.schema import CheckedBy, Declared, Duration, declared, one_of
 
 Array = NDArray[np.float64]
@@ -41,7 +42,14 @@ YIELDING_SPEED = 0.5
 """Largest speed of a joint that yields, in `Arm.joint_units` per second, within its limit."""
 
 
-def _threshold(name: str, value: object) -> float | dict[str, float]:
+USUAL_SHARE = 0.2
+"""The threshold if none is given, in the largest torque by which weight loads a joint of the outstretched arm.
+In `benchmarks/studies/touch.py` it gives no false alarm, with noise of up to 3 % and 0.3 mrad."""
+
+
+def _threshold(name: str, value: object) -> float | dict[str, float] | None:
+    if value is None:
+        return None
     if isinstance(value, Mapping):
         return {str(key): require_positive(f"{name}[{key!r}]", each) for key, each in value.items()}
     return require_positive(name, value)  # type: ignore[arg-type]
@@ -59,7 +67,9 @@ class Touch(Declared):
 
     Attributes:
         threshold: torque or force beyond what masses and motion explain, above which the arm is touched:
-            one for all drives, or by the names of their joints; others then feel nothing [N m or N].
+            one for all drives, or by the names of their joints; others then feel nothing [N m or N]. None: a
+            fifth of the largest torque, and force, by which its weight loads the outstretched arm. Logs of a
+            robot tell it better (`Identification.touch`).
         reaction: "stop": the arm brakes and holds. "yield": its joints give way, in the direction of the
             torque, with up to half a joint unit per second at twice the threshold, until it is below the
             threshold; then the arm holds. It goes on after `Tracker.restart`.
@@ -70,7 +80,7 @@ class Touch(Declared):
         UnknownName: another reaction.
     """
 
-    threshold: Annotated[float | dict[str, float], CheckedBy(_threshold)]
+    threshold: Annotated[float | dict[str, float] | None, CheckedBy(_threshold)] = None
     reaction: Annotated[Literal["stop", "yield"], one_of("reaction", "stop", "yield")] = "stop"
     time_constant: Duration = DEFAULT_TIME_CONSTANT
 
@@ -112,6 +122,41 @@ class Reading(NamedTuple):
     after: float
 
 
+def _thresholds_of(arm: Arm, given: float | dict[str, float] | None) -> Array:
+    """Return the thresholds of `Touch` along the degrees of freedom, (nv,) [N m or N]; infinite for none."""
+    if given is None:
+        return USUAL_SHARE * largest_of_kind(arm, arm.outstretched_torques)
+    of_drives = np.full(arm.nv, np.inf)
+    names = arm.drives.names
+    if isinstance(given, Mapping):
+        for name, value in given.items():
+            require_known("joint with a drive", name, names)
+            of_drives[names.index(name)] = value
+    else:
+        of_drives[:] = given
+    return of_drives * np.abs(arm.drives.ratios)
+
+
+def largest_of_kind(arm: Arm, torques: Array) -> Array:
+    """Return for each degree of freedom the largest torque of those that turn, or force of those that slide.
+
+    Args:
+        arm: the arm.
+        torques: torques and forces, (nv,) [N m or N], at least 0.
+
+    Raises:
+        InvalidValue: they are all zero.
+    """
+    largest = np.full(arm.nv, np.inf)
+    for kind in (arm.in_metres, ~arm.in_metres):
+        most = float(torques[kind].max(initial=0.0))
+        if most > 0.0:
+            largest[kind] = most
+    if np.all(np.isinf(largest)):
+        raise InvalidValue("touch.threshold", None, "a torque or force, as weight loads no joint of this arm")
+    return largest
+
+
 class TouchDetector:
     """Tells from measured positions and torques whether something touches the arm.
 
@@ -126,21 +171,14 @@ class TouchDetector:
         Raises:
             InvalidValue: not a `Touch`.
             WeightUnknown: masses that are not known.
+            InvalidValue: no threshold is given, and weight loads no drive.
             UnknownName: a threshold for a joint that no drive moves.
         """
         require_instance("touch", touch, Touch, "a Touch(...), or None")
         arm.require_masses()
         self._arm = arm
         self._touch = touch
-        names = arm.drives.names
-        given = np.full(arm.nv, np.inf)
-        if isinstance(touch.threshold, Mapping):
-            for name, value in touch.threshold.items():
-                require_known("joint with a drive", name, names)
-                given[names.index(name)] = value
-        else:
-            given[:] = touch.threshold
-        self._thresholds = given * np.abs(arm.drives.ratios)
+        self._thresholds = _thresholds_of(arm, touch.threshold)
         self.restart()
 
     def restart(self) -> None:

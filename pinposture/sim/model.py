@@ -70,7 +70,7 @@ _Setting = Annotated[
     float,
     checked_number(f"a number above 0, at most {LARGEST_SETTING:g}", lambda x: 0.0 < x <= LARGEST_SETTING),
 ]
-_Inertia = Annotated[
+_FromZero = Annotated[
     float, checked_number(f"a number from 0 to {LARGEST_SETTING:g}", lambda x: 0.0 <= x <= LARGEST_SETTING)
 ]
 
@@ -97,10 +97,14 @@ class Servos(Declared):
         speed_reference: whether damping acts on the velocity relative to that of the set point, as in drives
             that receive positions and velocities; otherwise it acts on the velocity itself, and the arm lags.
         armature: reflected rotor inertia, added to each joint that a servo moves [kg m^2 or kg].
+        friction: dry friction of each servo, beyond that of the joints in the description [N m or N], such as
+            the `friction_torque` of an identification. Servos are not stiffened against it: they rest up to
+            friction / stiffness from their set points.
         timestep: maximum physics step [s].
 
     Raises:
-        InvalidValue: a value is not positive (armature: negative), or one but a torque is above 1e5.
+        InvalidValue: a value is not positive (armature, friction: negative), or one but a torque limit is
+            above 1e5.
     """
 
     frequency: _Setting | None = None
@@ -108,7 +112,8 @@ class Servos(Declared):
     torque_limits: Annotated[bool | float, CheckedBy(_torque_limits)] = True
     gravity_compensation: Flag = False
     speed_reference: Flag = True
-    armature: _Inertia = 0.0
+    armature: _FromZero = 0.0
+    friction: _FromZero = 0.0
     timestep: Annotated[float, quantity("time", above=0.0, most=LARGEST_SETTING)] = 1e-3
 
     def limits(self, effort: Array) -> Array:
@@ -189,6 +194,10 @@ def torques_within_limits(
 
 POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length, at least 1 m
 MAX_DEFLECTION = 0.01  # of a servo due to joint friction and damping at speed 1, in joint units
+FRICTION_HOLDS = 0.9999
+"""Impedance of dry friction (`solimp` of MuJoCo). With MuJoCo's 0.9, a joint that friction holds creeps to its
+set point within seconds; tests/sim/test_sim_servos.py bounds it."""
+
 N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass matrices
 MAX_LISTED = 6  # maximum number of links with the same fault in a warning
 
@@ -270,7 +279,7 @@ def build_plant_model(
     followers = _followers(arm)
     if followers and contact is not None:
         raise InvalidValue("contact", contact, "None for an arm with coupled joints")
-    if followers and np.any(complete.upperDryFrictionLimit > 0.0):
+    if followers and (servos.friction or np.any(complete.upperDryFrictionLimit > 0.0)):
         corrections = (*corrections, "dry friction of joints is ignored, because joints are coupled")
     for message in corrections:
         warn_caller(message)
@@ -310,6 +319,8 @@ def build_plant_model(
     units = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, arm.characteristic_length, 1.0)
     least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
     servos, gains = _tuned(servos, arm, matrices, np.abs(coupling).T @ least, own)
+    model.dof_frictionloss[columns] += servos.friction
+    model.dof_solimp[:, :2] = FRICTION_HOLDS
     if contact is not None:
         add_contact(spec, arm, effective_scene(arm, scene), contact)
         model = _compiled_again(spec, model)
@@ -345,6 +356,7 @@ def _compiled_again(spec: Any, before: Any) -> Any:
     model = spec.compile()
     model.dof_damping[: before.nv] = before.dof_damping
     model.dof_frictionloss[: before.nv] = before.dof_frictionloss
+    model.dof_solimp[: before.nv] = before.dof_solimp
     return model
 
 

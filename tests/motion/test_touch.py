@@ -153,6 +153,67 @@ def test_each_drive_may_have_its_own_threshold_and_the_others_feel_nothing():
     assert lonely.reason == ""
 
 
+def test_without_a_threshold_it_is_a_fifth_of_the_largest_torque_of_weight():
+    arm = heavy()
+    turned = arm.with_gravity((0.0, 9.81, 0.0))
+    largest = max(np.abs(each.at(arm.straight()).gravity_torques).max() for each in (arm, turned))
+    np.testing.assert_allclose(TouchDetector(arm, pp.Touch())._thresholds, 0.2 * largest, rtol=1e-9)
+    with pytest.raises(InvalidValue, match=r"touch\.threshold"):
+        TouchDetector(arm.with_gravity((0.0, 0.0, 0.0)), pp.Touch())
+
+
+def moving_log(arm: pp.Arm, speed: float, rng: np.random.Generator, push: float = 0.0) -> pp.Log:
+    """A log with noise and friction in the joints, in which the tip is pushed upwards or not [N]."""
+    sizes = rng.uniform(0.1, 0.4, arm.nv)
+    rates = speed * rng.uniform(0.5, 1.5, arm.nv)
+    times = np.arange(0.0, 8.0, DT)
+    positions = sizes * np.sin(times[:, None] * rates)
+    torques = []
+    for q, time in zip(positions, times, strict=True):
+        v = sizes * rates * np.cos(rates * time)
+        rubbed = needed(arm, q, v, -(rates**2) * q) + 0.05 * np.sign(v)
+        torques.append(rubbed - pushed(arm, q, np.array([0.0, 0.0, push])) + 0.01 * rng.normal(size=arm.nv))
+    measured = positions + 1e-4 * rng.normal(size=positions.shape)
+    about = {"gravity": (0.0, 0.0, -9.81), "payload": 0.0}
+    return pp.Log(times, positions, times, measured, effort=np.array(torques), **about)
+
+
+@pytest.mark.long
+def test_a_log_tells_thresholds_above_friction_and_noise_that_a_push_exceeds():
+    arm = heavy()
+    rng = np.random.default_rng(2)
+    free = moving_log(arm, 1.0, rng)
+    touch = pp.identify(arm, free).touch("yield")
+    assert touch.reaction == "yield"
+    assert set(touch.threshold) == set(arm.drives.names)
+    assert len(set(touch.threshold.values())) == 1
+    assert 0.1 < touch.threshold["m01_j1_y"] < 0.25  # twice the friction, and noise
+
+    def feels(log: pp.Log) -> str:
+        detector = TouchDetector(arm, touch)
+        for q, torques in zip(log.positions, log.effort, strict=True):
+            detector.update(q, torques, DT)
+        return detector.reason
+
+    for _ in range(5):
+        assert feels(moving_log(arm, 2.0, rng)) == ""
+    assert "something touches the arm" in feels(moving_log(arm, 1.0, rng, push=2.0))
+
+
+def test_a_log_without_efforts_or_weight_tells_no_thresholds():
+    arm = heavy()
+    log = moving_log(arm, 1.0, np.random.default_rng(2))
+    still = {"gravity": (0.0, 0.0, -9.81), "payload": 0.0}
+    silent = pp.Log(log.command_time, log.commands, log.time, log.positions, **still)
+    with pytest.raises(InvalidValue, match=r"log\.effort"):
+        pp.identify(arm, silent).touch()
+    lying = pp.Log(
+        log.command_time, log.commands, log.time, log.positions, effort=log.effort, in_contact=True
+    )
+    with pytest.raises(InvalidValue, match="the arm touched something"):
+        pp.identify(arm, lying).touch()
+
+
 @pytest.mark.parametrize(
     ("options", "error"),
     [

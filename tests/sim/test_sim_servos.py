@@ -53,6 +53,19 @@ def test_servos_are_no_weaker_than_the_friction_of_their_joints():
     np.testing.assert_allclose(stiffness, [120.0 / 0.01])
 
 
+def test_a_servo_with_friction_rests_short_of_its_set_point_by_friction_over_stiffness():
+    arm = pendulum()
+    rubbing = sim.Servos(frequency=3.0, friction=0.4)
+    stiffness = sim.build_plant_model(arm, sim.Servos(frequency=3.0)).gains.stiffness
+    plant = sim.build_plant_model(arm, rubbing)
+    np.testing.assert_array_equal(plant.gains.stiffness, stiffness)  # it does not count, as it is the servo's
+    there = np.concatenate([np.linspace(0.0, 0.1, 250), np.full(50, 0.1)])  # slow, so that it does not coast
+    motion = pp.JointTrajectory.from_configurations(arm, there[:, None], 0.02)
+    ended = sim.simulate(arm, motion, servos=rubbing, gravity=False)
+    assert 0.1 - float(ended.q[-1, 0]) == pytest.approx(0.4 / stiffness[0], rel=0.05)
+    assert np.ptp(ended.q[-40:, 0]) < 1e-5  # it does not creep
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -64,6 +77,7 @@ def test_servos_are_no_weaker_than_the_friction_of_their_joints():
         {"timestep": 0.0},
         {"armature": 1e300},
         {"armature": -1e-3},
+        {"friction": -1e-3},
         {"torque_limits": 0.0},
         {"torque_limits": "high"},
         {"gravity_compensation": 1},
