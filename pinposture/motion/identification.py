@@ -77,8 +77,8 @@ THIRD_DIFFERENCE = 20.0
 """Variance of the third difference of white noise, in variances of the noise."""
 
 TOUCH_MARGIN = 2.0
-"""Threshold of touch, in the largest torque that the model does not explain in logs without contact; tested on
-motions twice as fast, that are not in the log (tests/motion/test_touch.py)."""
+"""Threshold of touch, in the largest torque that the model does not explain in logs without contact; tested
+on motions twice as fast, that are not in the log (tests/motion/test_touch.py)."""
 
 MOST_NAMED = 6
 """Most reasons in a representation."""

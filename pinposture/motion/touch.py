@@ -43,8 +43,8 @@ YIELDING_SPEED = 0.5
 
 
 USUAL_SHARE = 0.2
-"""The threshold if none is given, in the largest torque by which weight loads a joint of the outstretched arm.
-In `benchmarks/studies/touch.py` it gives no false alarm, with noise of up to 3 % and 0.3 mrad."""
+"""The threshold if none is given, in the largest torque by which weight loads a joint of the outstretched
+arm. In `benchmarks/studies/touch.py` it gives no false alarm, with noise of up to 3 % and 0.3 mrad."""
 
 
 def _threshold(name: str, value: object) -> float | dict[str, float] | None:

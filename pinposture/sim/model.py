@@ -195,8 +195,8 @@ def torques_within_limits(
 POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length, at least 1 m
 MAX_DEFLECTION = 0.01  # of a servo due to joint friction and damping at speed 1, in joint units
 FRICTION_HOLDS = 0.9999
-"""Impedance of dry friction (`solimp` of MuJoCo). With MuJoCo's 0.9, a joint that friction holds creeps to its
-set point within seconds; tests/sim/test_sim_servos.py bounds it."""
+"""Impedance of dry friction (`solimp` of MuJoCo). With MuJoCo's 0.9, a joint that friction holds creeps to
+its set point within seconds; tests/sim/test_sim_servos.py bounds it."""
 
 N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass matrices
 MAX_LISTED = 6  # maximum number of links with the same fault in a warning
