@@ -26,7 +26,7 @@ print(", ".join(f"{name} {motion.duration:.1f} s" for name, motion in grip.phase
 # The free modules move the can, the wrapped ones stay as they are.
 lifted = pp.carry(grip, (0.0, 0.0, 0.2))
 aside = pp.carry(lifted, (-0.1, 0.15, 0.0))
-down = pp.carry(aside, (0.0, 0.0, -0.195))
+down = pp.carry(aside, (0.0, 0.0, -0.2), onto=["floor"])
 away = pp.unwrap(down, start)
 
 # All motions in one, with friction, servos and gravity.

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pinposture.collision import (
         Box,
         Capsule,
+        Carried,
         CollisionModel,
         Cylinder,
         HalfSpace,
@@ -80,6 +81,7 @@ __all__ = [
     "Batch",
     "Box",
     "Capsule",
+    "Carried",
     "CollisionModel",
     "Controller",
     "Curve",
@@ -212,6 +214,7 @@ _PACKAGES = {
     "collision": (
         "Box",
         "Capsule",
+        "Carried",
         "CollisionModel",
         "Cylinder",
         "HalfSpace",

@@ -137,6 +137,7 @@ def show_scene(scene: Scene) -> str:
         ("margin", length_text(scene.margin)),
         ("self-collision", "avoided" if scene.self_collision else "not checked"),
         *([("touchable", ", ".join(scene.touchable))] if scene.touchable else []),
+        *((f"{name} carried by", each.frame) for name, each in scene.carried.items()),
         *((name, repr(obstacle)) for name, obstacle in list(scene.obstacles.items())[:MAX_OBSTACLES]),
     ]
     if len(scene.obstacles) > MAX_OBSTACLES:

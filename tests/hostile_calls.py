@@ -116,6 +116,8 @@ def examples() -> dict[str, Any]:
         "masses": {},
         "mass": 0.5,
         "com": (0.01, 0.0, 0.02),
+        "beside": ["ball"],
+        "carried": {"ball": pp.Carried("module_02")},
         "frame": "module_02",
         "inertia": (1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0),
         "mass_per_length": 0.1,

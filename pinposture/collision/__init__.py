@@ -4,7 +4,7 @@ from pinposture.collision.model import Closest, CollisionModel, Distances, Exclu
 from pinposture.collision.obstacles import Obstacle, obstacle_from_dict
 from pinposture.collision.pipe import Bend, pipe, pipe_axis, pipe_walls
 from pinposture.collision.scan import Scan
-from pinposture.collision.scene import Scene
+from pinposture.collision.scene import Carried, Scene
 from pinposture.collision.shapes import Box, Capsule, Cylinder, HalfSpace, Mesh, Sphere
 from pinposture.collision.weighing import weigh
 from pinposture.collision.wrapping import curve_around
@@ -13,6 +13,7 @@ __all__ = [
     "Bend",
     "Box",
     "Capsule",
+    "Carried",
     "Closest",
     "CollisionModel",
     "Cylinder",

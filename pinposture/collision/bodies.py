@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element, tostring
@@ -14,7 +15,10 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf import parse_xml, read_shape
+from pinposture.arm.weight import find_frame
 from pinposture.collision.files import find_mesh, read_mesh
+from pinposture.collision.obstacles import displaced
+from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from pinposture.errors import FileError, InvalidValue, enumerated, warn_caller
 from pinposture.units import length_text
@@ -43,6 +47,38 @@ class Body(NamedTuple):
     name: str
     joint: int
     shape: Shape
+
+
+def carried_bodies(arm: Arm, scene: Scene) -> tuple[Body, ...]:
+    """Return the obstacles that an arm carries, named as in the scene.
+
+    Raises:
+        UnknownName: the arm has no such frame.
+    """
+    found = []
+    for name, carried in scene.carried.items():
+        frame = find_frame(arm.model, carried.frame)
+        held = displaced(scene.obstacles[name], frame.placement * carried.placement.inverse())
+        found.append(Body(name, int(frame.parentJoint), held.geometry))
+    return tuple(found)
+
+
+def scene_at(arm: Arm, q: Array, scene: Scene) -> Scene:
+    """Return a scene at a configuration, (nq,): what the arm carries stands where the arm has it.
+
+    Raises:
+        UnknownName: the arm has no frame of a name.
+    """
+    if not scene.carried:
+        return scene
+    data = arm.model.createData()
+    pin.forwardKinematics(arm.model, data, q)
+    obstacles = dict(scene.obstacles)
+    for name, carried in scene.carried.items():
+        frame = find_frame(arm.model, carried.frame)
+        moved = data.oMi[frame.parentJoint] * frame.placement * carried.placement.inverse()
+        obstacles[name] = displaced(scene.first.obstacles[name], moved)
+    return replace(scene, obstacles=obstacles, carried={})
 
 
 def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:

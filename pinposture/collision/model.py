@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ from pinposture._validation import SMALLEST_LENGTH, finite_vector, require_insta
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.recent import RecentValues, recent_values
-from pinposture.collision.bodies import STAND_IN_RADIUS, bodies_of
+from pinposture.collision.bodies import STAND_IN_RADIUS, bodies_of, carried_bodies
 from pinposture.collision.distances import (
     MotionSearch,
     NearPairs,
@@ -84,9 +85,11 @@ class CollisionObjects(NamedTuple):
         arm: the arm.
         kinematics: the kinematics of its model.
         joints: index of the joint that carries each body.
-        solids: the bodies, each in the frame of its joint, as in `Placements`.
-        fixed: the obstacles, world frame.
+        solids: the bodies, each in the frame of its joint, as in `Placements`; the obstacles that the arm
+            carries come last.
+        fixed: the other obstacles, world frame.
         depths: how far beneath its surface the distance from each obstacle counts, as in `PairDistances` [m].
+        own: number of bodies that are not obstacles.
     """
 
     arm: Arm
@@ -95,6 +98,7 @@ class CollisionObjects(NamedTuple):
     solids: Sequence[Solid]
     fixed: Sequence[Solid]
     depths: Sequence[float]
+    own: int
 
     def distances(self, pairs: Sequence[IndexPair]) -> PairDistances:
         """Return the distances of pairs of bodies, or of bodies and obstacles; see `PairDistances`."""
@@ -160,7 +164,22 @@ def _self_pairs(model: pin.Model, carriers: Sequence[int]) -> Iterator[IndexPair
                 yield (second, first) if other >= joint else (first, second)
 
 
-def _choose_pairs(objects: CollisionObjects, scene: Scene) -> tuple[list[IndexPair], dict[IndexPair, str]]:
+def _carried_pairs(objects: CollisionObjects) -> Iterator[IndexPair]:
+    """Yield the pairs of a body that the arm carries and of a body that does not hold it.
+
+    Those on adjacent joints hold it, and those beyond the joint that carries it.
+    """
+    model = objects.arm.model
+    for carried, own in product(range(objects.own, len(objects.joints)), range(objects.own)):
+        joint = objects.joints[carried]
+        other = objects.joints[own]
+        if joint not in model.supports[other] and other != int(model.parents[joint]):
+            yield carried, own
+
+
+def _choose_pairs(
+    objects: CollisionObjects, scene: Scene, beside: Collection[IndexPair]
+) -> tuple[list[IndexPair], dict[IndexPair, str]]:
     """Return the pairs that could be checked, and those of them, and others, that are excluded with a reason.
 
     A pair is the indices of two bodies, or of a body and a solid (or piece of a scan or mesh) among the
@@ -173,6 +192,9 @@ def _choose_pairs(objects: CollisionObjects, scene: Scene) -> tuple[list[IndexPa
       short links, telescoping tubes, and overlapping meshes: the arm could not even be straight;
     * pairs within the margin in every posture tried, such as an obstacle beside the base. If the last body is
       among them, the arm is inside the obstacle, and these pairs are kept.
+
+    What the arm carries is a body that keeps clear of obstacles but those beside it, and of the arm but of
+    what holds it.
     """
     arm = objects.arm
     count = len(objects.joints)
@@ -180,7 +202,9 @@ def _choose_pairs(objects: CollisionObjects, scene: Scene) -> tuple[list[IndexPa
     excluded = dict.fromkeys(sorted(mounted), "the arm is mounted on it")
     moving = [index for index, joint in enumerate(objects.joints) if joint]
     against = [(index, count + k) for index in moving for k in range(len(objects.fixed))]
-    own = list(_self_pairs(arm.model, objects.joints)) if scene.self_collision else []
+    against = [pair for pair in against if pair not in beside]
+    own = list(_self_pairs(arm.model, objects.joints[: objects.own])) if scene.self_collision else []
+    own += _carried_pairs(objects)
     near = objects.distances(own)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
@@ -210,7 +234,7 @@ def _always_close(objects: CollisionObjects, pairs: Sequence[IndexPair], margin:
         left = [(int(distances.first[k]), int(distances.second[k])) for k in found]
         distances = distances.among(left)
     # If even the last body never clears an obstacle, the arm is inside that obstacle.
-    around_all = {second for first, second in left if second >= count and first == count - 1}
+    around_all = {second for first, second in left if second >= count and first == objects.own - 1}
     return [pair for pair in left if pair[1] not in around_all]
 
 
@@ -357,9 +381,10 @@ class _Choice(NamedTuple):
     @classmethod
     def of(cls, arm: Arm, scene: Scene) -> _Choice:
         """Return the choice for an arm and a scene whose obstacles have not moved yet; it takes long."""
-        bodies = bodies_of(arm, scene.arm_radius)
+        own = bodies_of(arm, scene.arm_radius)
+        bodies = (*own, *carried_bodies(arm, scene))
         named = [
-            (name, each) for name, obstacle in scene.obstacles.items() for each in obstacle.geometry.solids()
+            (name, each) for name, obstacle in scene.standing.items() for each in obstacle.geometry.solids()
         ]
         kinematics = TreeKinematics(arm.model)
         objects = CollisionObjects(
@@ -369,12 +394,19 @@ class _Choice(NamedTuple):
             solids=[body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies],
             fixed=[each for _, each in named],
             depths=[scene.depth(name) for name, _ in named],
+            own=len(own),
         )
-        own = tuple(body.name for body in bodies)
-        names = (*own, *(name for name, _ in named))
-        candidates, excluded = _choose_pairs(objects, scene)
+        moving = tuple(body.name for body in bodies)
+        names = (*moving, *(name for name, _ in named))
+        beside = {
+            (len(own) + k, len(bodies) + number)
+            for k, carried in enumerate(scene.carried.values())
+            for number, (name, _) in enumerate(named)
+            if name in carried.beside
+        }
+        candidates, excluded = _choose_pairs(objects, scene, beside)
         listed = np.array(candidates, dtype=np.int64).reshape(-1, 2)
-        return cls(objects, own, names, listed, excluded, objects.distances(()))
+        return cls(objects, moving, names, listed, excluded, objects.distances(()))
 
 
 class CollisionModel:
@@ -396,7 +428,7 @@ class CollisionModel:
 
     Attributes:
         scene: the scene.
-        bodies: names of the bodies of the arm, from base to tip.
+        bodies: names of the bodies of the arm, from base to tip, and of the obstacles that it carries.
         pairs: names of all pairs whose distance is computed.
         excluded_pairs: pairs whose distance is not computed, because no motion could separate them or because
             they touch in the straight arm; adjacent bodies are not listed.
@@ -479,7 +511,8 @@ class CollisionModel:
         if moment is None or moment.scene is not scene:
             moment = self._copy()
             moment.scene = scene
-            moment._distances = self._elsewhere({name: scene.obstacles[name] for name in scene.moving})
+            standing = scene.standing
+            moment._distances = self._elsewhere({name: standing[name] for name in scene.moving & {*standing}})
             moment._take_velocities(scene)
             self._moment = moment
         return moment
@@ -508,6 +541,8 @@ class CollisionModel:
         self._turning = np.zeros((count, 3))
         self._middles = np.zeros((count, 3))
         for name, velocity in scene.velocities.items():
+            if name not in self._numbers:  # it moves with the arm
+                continue
             solids = self._numbers[name]
             self._velocities[solids], self._turning[solids] = split_velocity(velocity)
             self._middles[solids] = scene.obstacles[name].pose(np.zeros(3)).translation
@@ -525,7 +560,7 @@ class CollisionModel:
         self._solids = list(zip(choice.objects.joints, choice.objects.solids, strict=True))
         self._kinematics = choice.objects.kinematics
         self._arm_length = arm.length
-        self._numbers = {name: [] for name in scene.obstacles}
+        self._numbers = {name: [] for name in scene.standing}
         for number, name in enumerate(names[len(choice.bodies) :]):
             self._numbers[name].append(number)
         self._take_velocities(scene)

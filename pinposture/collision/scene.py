@@ -28,7 +28,7 @@ from pinposture._validation import (
 )
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import Obstacle, ObstacleField, displaced
-from pinposture.collision.shapes import Size, Sphere
+from pinposture.collision.shapes import UNTURNED, Point, Size, Sphere, Turn
 from pinposture.document import Document, plain_data
 from pinposture.errors import InvalidValue, warn_caller
 from pinposture.schema import (
@@ -39,6 +39,7 @@ from pinposture.schema import (
     InputFile,
     NotAllowed,
     OutputFile,
+    Text,
     as_plain,
     declared,
     in_file,
@@ -122,6 +123,43 @@ def split_velocity(velocity: Twist) -> tuple[Array, Array]:
     return both[:3], both[3:]
 
 
+@declared()
+class Carried(Declared):
+    """How the arm carries an obstacle of a scene: fixed to a frame, with which it moves.
+
+        tool = pp.Box((0.05, 0.0, 0.0), (0.1, 0.02, 0.02))  # in the frame of the link
+        scene = pp.Scene({"tool": tool}, carried={"tool": pp.Carried("tip")})
+
+    Attributes:
+        frame: the link, control point or joint that carries it, by name.
+        position: where that frame is when the obstacle is where the scene describes it, (3,) [m], world
+            frame. As it is by default, the obstacle is described in that frame.
+        rotation: orientation of the frame then, as that of a box.
+        beside: names of obstacles of which it need not keep clear: what it stands on, or is plugged into.
+    """
+
+    frame: Text
+    position: Point = (0.0, 0.0, 0.0)
+    rotation: Turn = UNTURNED
+    beside: Annotated[Sequence[str], CheckedBy(_as_names)] = ()
+
+    @property
+    def placement(self) -> pin.SE3:
+        """The pose of the frame when the obstacle is where the scene describes it."""
+        return pin.SE3(np.array(self.rotation), np.array(self.position))
+
+
+def _require_carriable(value: Mapping[str, Carried], info: ValidationInfo) -> Mapping[str, Carried]:
+    obstacles = info.data.get("obstacles", {})
+    for name, carried in value.items():
+        for each in (name, *carried.beside):
+            require_known("obstacle", each, obstacles)
+        shape = obstacles[name].geometry
+        if not (shape.convex and shape.bounded):
+            raise InvalidValue(f"carried[{name!r}]", obstacles[name], "a convex obstacle of finite size")
+    return value
+
+
 @declared(eq=False)
 class Scene(Declared):
     """Obstacles, and the clearance that an arm must keep from them and from itself.
@@ -147,6 +185,8 @@ class Scene(Declared):
             surface to lean on. From these it need keep no margin: it may overlap with them by as much as
             the margin. Their distances, and so clearances, count from two margins beneath their surface.
             In a simulation with contact, touching them is no fault.
+        carried: how the arm carries obstacles, by name. These are parts of the arm: they keep clear of all
+            other obstacles, and of the arm up to the frame that carries them. What lies beyond it holds them.
     """
 
     _first: ClassVar[Scene | None] = None  # of a scene that is another one at some moment
@@ -158,6 +198,9 @@ class Scene(Declared):
         default_factory=dict
     )
     touchable: Annotated[Sequence[str], CheckedBy(_as_names), AfterValidator(_require_known)] = ()
+    carried: Annotated[Mapping[str, Carried], AfterValidator(_require_carriable), _ReadOnly, _Named] = field(
+        default_factory=dict
+    )
 
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
@@ -289,18 +332,28 @@ class Scene(Declared):
         require_known("obstacle", name, self.obstacles)
         return 2.0 * self.margin if name in self.touchable else 0.0
 
+    @property
+    def standing(self) -> dict[str, Obstacle]:
+        """The obstacles that the arm does not carry, by name."""
+        return {name: each for name, each in self.obstacles.items() if name not in self.carried}
+
     def with_obstacles(self, obstacles: Mapping[str, Obstacle]) -> Scene:
         """Return the scene with other obstacles, which stand still.
 
         Args:
-            obstacles: the obstacles by name; those that are touchable now stay so.
+            obstacles: the obstacles by name; those that are touchable or carried now stay so.
 
         Raises:
             InvalidValue: not obstacles by name.
         """
         require_instance("obstacles", obstacles, Mapping, "a mapping from names of obstacles")
         touchable = tuple(name for name in self.touchable if name in obstacles)
-        return replace(self, obstacles=obstacles, velocities={}, touchable=touchable)
+        carried = {
+            name: replace(each, beside=[other for other in each.beside if other in obstacles])
+            for name, each in self.carried.items()
+            if name in obstacles
+        }
+        return replace(self, obstacles=obstacles, velocities={}, touchable=touchable, carried=carried)
 
     def without_obstacles(self) -> Scene:
         """Return the scene without obstacles: the arm has only itself to keep clear of."""
@@ -390,7 +443,8 @@ class Scene(Declared):
             named = f"{len(self.obstacles)} obstacles, {first} to {last}"
         itself = "" if self.self_collision else ", self-collision off"
         touchable = f", touchable: {', '.join(self.touchable)}" if self.touchable else ""
-        return f"Scene({named}{itself}, margin={self.margin:g}{touchable})"
+        carried = f", carried: {', '.join(self.carried)}" if self.carried else ""
+        return f"Scene({named}{itself}, margin={self.margin:g}{touchable}{carried})"
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Scene):
@@ -402,13 +456,15 @@ class Scene(Declared):
 
     def __reduce__(self) -> tuple[Any, ...]:
         given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
-        given |= {"obstacles": dict(self.obstacles), "velocities": dict(self.velocities)}
+        given |= {name: dict(given[name]) for name in ("obstacles", "velocities", "carried")}
         return Scene, tuple(given.values()), {"_first": self._first}
 
     def _key(self) -> tuple[Any, ...]:
         obstacles = frozenset(self.obstacles.items())
         velocities = frozenset(self.velocities.items())
-        return obstacles, velocities, self.self_collision, self.margin, self.arm_radius, self.touchable
+        carried = frozenset(self.carried.items())
+        own = self.self_collision, self.margin, self.arm_radius
+        return obstacles, velocities, *own, self.touchable, carried
 
 
 def _read_scene(value: object, info: ValidationInfo) -> Scene | None:
@@ -435,7 +491,7 @@ SceneField: TypeAlias = Annotated[Scene | None, read_by(_read_scene)]
 
 
 def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tuple[str, ...]:
-    """Return the names of the obstacles that contain a point.
+    """Return the names of the obstacles that contain a point, but for those that the arm carries.
 
     Args:
         scene: the scene.
@@ -446,7 +502,7 @@ def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tup
 
 
 def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float = 0.0) -> tuple[str, ...]:
-    """Return the names of the obstacles within a distance of a sphere.
+    """Return the names of the obstacles within a distance of a sphere, but for those that the arm carries.
 
     Args:
         scene: the scene.
@@ -455,9 +511,7 @@ def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float
         within: the distance between the surfaces [m].
     """
     x, y, z = np.array(center, dtype=np.float64)
-    named = [
-        (name, each) for name, obstacle in scene.obstacles.items() for each in obstacle.geometry.solids()
-    ]
+    named = [(name, each) for name, obstacle in scene.standing.items() for each in obstacle.geometry.solids()]
     pairs = [(0, 1 + k) for k in range(len(named))]
     distances = PairDistances([Sphere((x, y, z), radius).solid()], [0], [each for _, each in named], pairs)
     near = distances.near(Placements(np.eye(3)[None, None], np.zeros((1, 1, 3))), within)

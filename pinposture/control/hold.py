@@ -18,6 +18,7 @@ from scipy.optimize import linprog
 from pinposture._validation import length, require_instance, require_known, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.bodies import scene_at
 from pinposture.collision.solids import z_along
 from pinposture.collision.weighing import solid_inertia
 from pinposture.errors import InvalidValue
@@ -104,7 +105,7 @@ def assess_support(
     friction = require_positive("friction", friction, zero=True)
     within = length("within", within, zero=True)
     state = arm.at(arm.checked(q, "q"))
-    touched = _contacts(state, scene, scene.touchable, within)
+    touched = _contacts(state, scene_at(arm, state.q, scene), scene.touchable, within)
     holding = np.array(state.gravity_torques)
     torques = _torques(arm, state.q, touched, _pyramids(touched.normals, friction))
     limited = np.isfinite(arm.effort)
@@ -153,6 +154,8 @@ def assess_hold(
     require_instance("arm", arm, Arm, "an Arm")
     require_instance("scene", scene, Scene, "a Scene")
     require_known("obstacle", obstacle, scene.obstacles)
+    state = arm.at(arm.checked(q, "q"))
+    scene = scene_at(arm, state.q, scene)
     shape = scene.obstacles[obstacle].geometry
     if not (shape.convex and shape.bounded):
         raise InvalidValue(
@@ -160,7 +163,6 @@ def assess_hold(
         )
     friction = require_positive("friction", friction, zero=True)
     within = length("within", within, zero=True)
-    state = arm.at(arm.checked(q, "q"))
     touched = _contacts(state, scene, [obstacle], within)
     pushes = _pyramids(touched.normals, friction)
     middle = np.array(solid_inertia(shape.solid()).lever)

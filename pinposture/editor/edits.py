@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias, cast
@@ -642,9 +642,18 @@ def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = No
             listed = dict(renamed.get(key, (key, each)) for key, each in listed.items())
         else:
             listed[name] = obstacle
-        touchable = [name if each == instead else each for each in scene.touchable]
-        kept = tuple(each for each in touchable if each in listed)
-        return task.edited(scene=replace(scene, obstacles=listed, touchable=kept))
+
+        def renamed_in(names: Iterable[str]) -> list[str]:
+            others = [name if each == instead else each for each in names]
+            return [each for each in others if each in listed]
+
+        carried = {
+            name if key == instead else key: replace(each, beside=renamed_in(each.beside))
+            for key, each in scene.carried.items()
+            if renamed_in([key])
+        }
+        touchable = renamed_in(scene.touchable)
+        return task.edited(scene=replace(scene, obstacles=listed, touchable=touchable, carried=carried))
 
     return edit
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pinposture._validation import is_usable, make_read_only, require_instance
 from pinposture.arm import Arm, JointLoad
 from pinposture.collision import Closest, CollisionModel, Scene
+from pinposture.collision.bodies import scene_at
 from pinposture.collision.model import Pair, arm_alone
 from pinposture.control import Limits
 from pinposture.control.controller import CONSTRAINTS
@@ -213,6 +214,13 @@ class Outcome:
     def scene_in(self, row: int, scene: Scene) -> Scene:
         """Return a scene in a row of the motion, given that at the start, in which obstacles may be free."""
         return scene
+
+    @property
+    def final_scene(self) -> Scene | None:
+        """The obstacles where they are at the end; those that the arm carries stand where it has them."""
+        if self.scene is None:
+            return None
+        return scene_at(self.arm, self.q[-1], self.scene_in(len(self.q) - 1, self.scene))
 
     @property
     def touched(self) -> tuple[str, ...] | None:

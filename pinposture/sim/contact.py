@@ -183,9 +183,11 @@ def add_contact(spec: Any, arm: Arm, scene: Scene, contact: ContactModel) -> Non
 
     Raises:
         UnknownName: a mass of something that does not exist.
-        InvalidValue: an obstacle that is not convex, or a half-space with a mass.
+        InvalidValue: an obstacle that is not convex, or is carried, or a half-space with a mass.
     """
     mujoco = load_mujoco()
+    if scene.carried:
+        raise InvalidValue("scene", scene, "one in which the arm carries nothing: contact holds objects")
     model = CollisionModel(arm, scene)
     for name in contact.masses:
         require_known("obstacle", name, scene.obstacles)

@@ -235,7 +235,7 @@ class _FreeSpace:
         for number, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
             joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"slide_{number}")
         self._kinematics = TreeKinematics(model)
-        pieces = [(name, piece) for name, each in scene.obstacles.items() for piece in each.geometry.solids()]
+        pieces = [(name, piece) for name, each in scene.standing.items() for piece in each.geometry.solids()]
         fixed = [piece for _, piece in pieces]
         self._names = [name for name, _ in pieces]
         ball = Sphere((0.0, 0.0, 0.0), radius).solid()

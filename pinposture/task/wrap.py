@@ -1,16 +1,18 @@
 """Wrap an arm around an object, carry the object, and let go of it.
 
 The last modules of the arm hold the object, the others move it. The frame at the end of the last free module
-stands where a curve around the object begins, along the curve. From there, the wrapped modules first stand
-off straight, which is a tangent of the object, and then bend onto the curve; while all bend in proportion,
-they are on curves of larger radius with the same tangent, so the arm closes from outside. The object is
-carried as the free modules move that frame, while the wrapped ones stay as they are.
+stands where a curve around the object begins, along the curve. The wrapped modules first stand off straight,
+a margin beside a tangent of the object, and then bend onto the curve; while all bend in proportion, they are
+on curves of larger radius with nearly the same tangent, so the arm closes from outside. The object is carried
+as the free modules move that frame, while the wrapped ones stay as they are. From then on it is a part of the
+arm (`Scene.carried`), until it is let go.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple, cast
@@ -28,9 +30,10 @@ from pinposture._validation import (
     require_known,
     require_positive,
 )
-from pinposture.arm import Arm
-from pinposture.collision import CollisionModel, Scene
+from pinposture.arm import Arm, ArmState, ChainState
+from pinposture.collision import Carried, CollisionModel, Scene
 from pinposture.collision.bodies import bodies_of
+from pinposture.collision.model import MOTION_TOLERANCE, Distances, Pair
 from pinposture.collision.wrapping import MAX_TURNS, Winding, winding_around
 from pinposture.control import EndEffector, Hold, JointPath, Limits, Objective, assess_hold, plan, retime
 from pinposture.control.limits import cycle_of
@@ -84,7 +87,8 @@ class Grip:
         limits: the limits of the motions.
         friction: coefficient of friction between arm and object.
         first: index of the control point where the wrap begins, the last that is free, 0-based.
-        opened: configuration in which the wrapped modules stand off, (nq,).
+        opened: configuration in which the arm stands off with its wrapped modules straight, clear of the
+            object by the margin, (nq,).
         winding: displacements from it to the wrap, the first of which is zero, (r, nv) [rad or m].
         touching: configuration in which all wrapped modules touch the object, (nq,).
         held: configuration to command for the arm to squeeze, (nq,).
@@ -120,6 +124,34 @@ class Grip:
         """All phases in one motion."""
         return JointTrajectory.joined(tuple(self.phases.values()))
 
+    @cached_property
+    def carrying(self) -> Scene:
+        """The scene while the arm holds the object, which is a part of the arm then.
+
+            tracker = pp.Tracker(arm, limits=limits, scene=grip.carrying)
+
+        The object need not keep clear of what it stands on here, or is within the margin of.
+        """
+        pairs = self._near(self.touching).pairs
+        beside = {other for body, other in pairs if body == self.obstacle and other in self.scene.obstacles}
+        return self._carrying(tuple(sorted(beside)))
+
+    def _carrying(self, beside: Sequence[str]) -> Scene:
+        """Return the scene in which the arm carries the object, beside some obstacles."""
+        frame = _frame(self.arm.at(self.touching), self.first)
+        carried = Carried(
+            self.arm.control_points[self.first],
+            position=frame.translation,
+            rotation=frame.rotation,
+            beside=beside,
+        )
+        return replace(self.scene, carried={**self.scene.carried, self.obstacle: carried})
+
+    def _near(self, q: Array) -> Distances:
+        """Return the pairs within the margin at a configuration, (nq,), with the object as it is carried."""
+        model = CollisionModel(self.arm, self._carrying(()))
+        return model.nearest(self.arm.at(q), self.scene.margin)
+
 
 def wrap(
     arm: Arm,
@@ -140,10 +172,11 @@ def wrap(
         grip.hold.mass
         ended = sim.simulate(arm, grip.motion, scene=scene, contact=sim.ContactModel(masses={"can": 0.3}))
 
-    The arm goes to a posture in which its free modules bring it to the object along a tangent, with the
-    others straight (`plan`, clear of the scene). Then these bend around the object, all at once if that is
-    clear, else one after the other, and on beyond contact: the drives then press with what their stiffness
-    and their torque limits give. The curve is that of `curve_around`, from the side on which the base stands.
+    The arm goes to a posture in which its free modules bring it beside the object along a tangent, with the
+    others straight (`plan`, clear of the scene and of the object). Then these bend around the object, all at
+    once if that is clear, else one after the other, and on beyond contact: the drives then press with what
+    their stiffness and their torque limits give. The curve is that of `curve_around`, from the side on which
+    the base stands.
 
     Args:
         arm: the arm.
@@ -179,8 +212,10 @@ def wrap(
     found = _Wrap(arm, obstacle, scene, turns).find(start)
     way = found.winding
     touching = arm.integrate(found.opened, way[-1])
-    held = _within_limits(arm, arm.integrate(found.opened, (1.0 + squeeze) * way[-1]))
-    approach = plan(arm.at(start), Target.from_configuration(arm, found.opened), scene, limits)
+    bent = np.where(_holds(arm, found.first), way[-1], 0.0)
+    held = _within_limits(arm, arm.integrate(touching, squeeze * bent))
+    goal = Target.from_configuration(arm, found.opened)
+    approach = plan(arm.at(start), goal, _untouchable(scene, obstacle), limits)
     if approach.blocked_by:
         raise TaskError(_where(obstacle), f"the way to where it begins is blocked: {approach.blocked_by}")
     phases = {
@@ -206,23 +241,27 @@ def wrap(
     )
 
 
-def carry(grip: Grip, displacement: pin.SE3 | ArrayLike) -> Grip:
+def carry(grip: Grip, displacement: pin.SE3 | ArrayLike, *, onto: Sequence[str] = ()) -> Grip:
     """Plan how an arm carries the object that it holds, along a straight line.
 
         lifted = pp.carry(grip, (0, 0, 0.2))
+        down = pp.carry(lifted, (0.1, 0, -0.2), onto=["table"])
 
-    The free modules move the frame where the wrap begins; the wrapped ones stay as they are. The arm is kept
-    clear of the scene; whether the object is, is not checked, as it usually stands on something.
+    The free modules move the frame where the wrap begins; the wrapped ones stay as they are. The arm and the
+    object keep clear of the scene. Obstacles that the object stands on at first, or is within the margin of,
+    may be as close until they part. There is no way around others: carry the object in several parts.
 
     Args:
         grip: the arm and the object.
         displacement: of the object from where it is, a translation, (3,) [m], or a `pin.SE3`, world frame.
+        onto: names of obstacles that the object may touch on the way, to be put down on them.
 
     Returns:
         The grip at the other place, with the motion there.
 
     Raises:
         InvalidValue: not a grip, or an invalid displacement.
+        UnknownName: no obstacle of a name in `onto`.
         TaskError: the arm does not get there; says how far it gets, and why not farther.
     """
     require_instance("grip", grip, Grip, "a Grip, as pp.wrap(...) returns it")
@@ -230,30 +269,34 @@ def carry(grip: Grip, displacement: pin.SE3 | ArrayLike) -> Grip:
     motion = displacement
     if not isinstance(displacement, pin.SE3):
         motion = pin.SE3(np.eye(3), np.array(point("displacement", displacement)))
+    require_instance("onto", onto, list | tuple, "a list of names of obstacles")
+    for name in onto:
+        require_known("obstacle", name, grip.scene.obstacles)
     middle = grip.scene.obstacles[grip.obstacle].pose(np.zeros(3)).translation
     state = arm.chain_at(grip.held)
-    frame = pin.SE3(np.array(state.rotations[grip.first]), np.array(state.points[grip.first]))
+    frame = _frame(state, grip.first)
     loose = arm.difference(grip.held, grip.touching)
     rows = [grip.held]
+    way = _CarriedWay(grip, onto)
     for share, moved in _displacements(motion, middle, arm.length):
         state, error = bring_to_goal(arm, EndEffector(pose=moved * frame, point=grip.first), state)
-        step = np.abs(arm.difference(rows[-1], state.q))
-        scene = grip.scene.moved({grip.obstacle: moved * grip.displacement})
-        closest = CollisionModel(arm, scene).minimum(arm.integrate(state.q, loose))
-        why = ""
-        if error > REACHED * arm.length or step.max() > LARGEST_TURN:
+        step = arm.difference(rows[-1], state.q)
+        if error > REACHED * arm.length or np.abs(step).max() > LARGEST_TURN:
             why = "the free modules do not get farther"
-        elif closest.pair is not None and closest.distance < scene.margin:
-            why = f"{closest.pair[0]} comes within the margin of {closest.pair[1]}"
+        else:
+            why = way.go_on(arm.integrate(rows[-1], loose), step)
         if why:
             raise TaskError(f"carry {grip.obstacle!r}", f"{100.0 * share:.0f} % of the way: {why}")
         rows.append(state.q)
     held = rows[-1]
     touching = arm.integrate(held, loose)
+    scene = grip.scene.moved({grip.obstacle: motion * grip.displacement})
+    opened, winding = _opened_elsewhere(grip, touching, motion)
     return replace(
         grip,
         scene=scene,
-        opened=arm.integrate(touching, -grip.winding[-1]),
+        opened=opened,
+        winding=winding,
         touching=touching,
         held=held,
         displacement=motion * grip.displacement,
@@ -262,8 +305,72 @@ def carry(grip: Grip, displacement: pin.SE3 | ArrayLike) -> Grip:
     )
 
 
+class _CarriedWay:
+    """The clearance of an arm, and of the object that it carries, on the way.
+
+    Pairs that are within the margin at first may be until they part, but come no closer.
+    """
+
+    def __init__(self, grip: Grip, onto: Sequence[str]) -> None:
+        self._arm = grip.arm
+        self._model = CollisionModel(grip.arm, grip._carrying(()))
+        self._margin = grip.scene.margin
+        self._put_down = {(grip.obstacle, name) for name in onto}
+        self._least = self._near(grip.touching)  # distances that pairs may have, by number [m]
+
+    def go_on(self, q: Array, step: Array) -> str:
+        """Take a step, (nv,) [rad or m], from a configuration, (nq,); return what is too close after it."""
+        model = self._model
+        if not self._least:
+            closest = model.minimum_between(q, step)
+            if closest.distance < self._margin - MOTION_TOLERANCE * self._arm.length:
+                near = cast(Pair, closest.pair)
+                if near not in self._put_down:
+                    return _too_close(near)
+        near_now = self._near(self._arm.integrate(q, step))
+        rounding = TOUCHES * self._arm.length
+        for number, distance in near_now.items():
+            pair = model.pairs[number]
+            if pair in self._put_down and distance < -rounding:
+                return f"{pair[0]} is pressed into {pair[1]}"
+            if pair not in self._put_down and distance < self._least.get(number, self._margin) - rounding:
+                return _too_close(pair)
+        self._least = {number: least for number, least in self._least.items() if number in near_now}
+        return ""
+
+    def _near(self, q: Array) -> dict[int, float]:
+        """Return the distances of pairs within the margin at a configuration, (nq,), by their numbers [m]."""
+        near = self._model.nearest(self._arm.at(q), self._margin)
+        return dict(zip(near.numbers.tolist(), near.distances.tolist(), strict=True))
+
+
+def _opened_elsewhere(grip: Grip, touching: Array, motion: pin.SE3) -> tuple[Array, Array]:
+    """Return where the arm stands off after a motion of the object, and the way from there to the wrap.
+
+    Args:
+        grip: the grip before the motion.
+        touching: configuration that touches the object after it, (nq,).
+        motion: the motion, world frame.
+
+    Raises:
+        TaskError: the arm cannot stand off there.
+    """
+    arm = grip.arm
+    frame = _frame(arm.at(grip.opened), grip.first)
+    state = arm.chain_at(arm.integrate(touching, -grip.winding[-1]))
+    goal = EndEffector(pose=motion * frame, point=grip.first)
+    state, error = bring_to_goal(arm, goal, state)
+    if error > REACHED * arm.length:
+        raise TaskError(f"carry {grip.obstacle!r}", "where it ends, the free modules cannot back off")
+    winding = np.where(_holds(arm, grip.first), grip.winding, arm.difference(state.q, touching))
+    winding[0] = 0.0
+    return state.q, winding
+
+
 def unwrap(grip: Grip, q_end: ArrayLike | None = None) -> JointTrajectory:
     """Plan how an arm lets go of the object that it holds, and withdraws.
+
+    From where it stands off on, it is clear of the object, too. What the object then stands on is up to you.
 
     Args:
         grip: the arm and the object.
@@ -277,14 +384,14 @@ def unwrap(grip: Grip, q_end: ArrayLike | None = None) -> JointTrajectory:
     arm = grip.arm
     closest = CollisionModel(arm, grip.scene).minimum_on_motions(grip.opened, grip.winding)
     if closest.pair is not None and closest.distance < grip.scene.margin:
-        reason = f"as it opens, {closest.pair[0]} comes within the margin of {closest.pair[1]}"
-        raise TaskError(f"unwrap {grip.obstacle!r}", reason)
+        raise TaskError(f"unwrap {grip.obstacle!r}", f"as it opens, {_too_close(closest.pair)}")
     way = arm.integrate(grip.opened, grip.winding)
     release = _motion(arm, np.vstack([grip.held[None], way[::-1]]), grip.limits)
     if q_end is None:
         return release
     end = arm.checked_start(q_end, "q_end")
-    path = plan(arm.at(grip.opened), Target.from_configuration(arm, end), grip.scene, grip.limits)
+    goal = Target.from_configuration(arm, end)
+    path = plan(arm.at(grip.opened), goal, _untouchable(grip.scene, grip.obstacle), grip.limits)
     if path.blocked_by:
         raise TaskError(f"unwrap {grip.obstacle!r}", f"the way from it is blocked: {path.blocked_by}")
     if path.length == 0.0:
@@ -294,6 +401,27 @@ def unwrap(grip: Grip, q_end: ArrayLike | None = None) -> JointTrajectory:
 
 def _where(obstacle: str) -> str:
     return f"wrap around {obstacle!r}"
+
+
+def _too_close(pair: Pair) -> str:
+    return f"{pair[0]} comes within the margin of {pair[1]}"
+
+
+def _frame(state: ArmState | ChainState, index: int) -> pin.SE3:
+    """Return the pose of the frame of a control point, by index."""
+    return pin.SE3(np.array(state.rotations[index]), np.array(state.points[index]))
+
+
+def _holds(arm: Arm, first: int) -> NDArray[np.bool_]:
+    """Return which degrees of freedom are those of the modules behind a control point, by index, (nv,)."""
+    holding = np.zeros(arm.nv, dtype=np.bool_)
+    holding[arm.columns[arm.module_starts[first + 1] :]] = True
+    return holding
+
+
+def _untouchable(scene: Scene, obstacle: str) -> Scene:
+    """Return a scene in which the arm may not touch an obstacle."""
+    return replace(scene, touchable=[name for name in scene.touchable if name != obstacle])
 
 
 def _within_limits(arm: Arm, q: Array) -> Array:
@@ -381,7 +509,9 @@ class _Wrap:
             way = self._wind(winding, first, opened)
             overlap = -self._distance(arm.integrate(opened, way[-1]))
             if abs(overlap) <= TOUCHES * arm.length:
-                return _Found(first, opened, self._clear(opened, way))
+                off = self._standing_off(winding, first, opened)
+                whole = np.vstack([np.zeros(arm.nv), arm.difference(off, opened) + way])
+                return _Found(first, off, self._clear(off, whole))
             gap += overlap
         away = length_text(abs(overlap))
         raise TaskError(self.where, f"the arm is {away} off where it would touch: its modules are too long")
@@ -424,19 +554,39 @@ class _Wrap:
             reason += "; ask for fewer turns, or move the object"
             raise TaskError(self.where, reason)
         q = self._straightened(state.q, first)
-        closest = self.model.minimum(q)
+        self._require_clear(self.model, q)
+        return q
+
+    def _require_clear(self, model: CollisionModel, q: Array) -> None:
+        """Refuse a posture, (nq,), from which the arm would wind, that is not clear."""
+        closest = model.minimum(q)
         if closest.pair is not None and closest.distance < self.scene.margin:
             raise TaskError(
                 self.where, f"where it begins, {closest.pair[0]} is too close to {closest.pair[1]}"
             )
+
+    def _standing_off(self, winding: Winding, first: int, opened: Array) -> Array:
+        """Return the posture beside a tangent, (nq,), in which the arm keeps the margin to the object."""
+        arm = self.arm
+        side = np.cross(winding.heading, winding.body.axis)
+        side *= (self.scene.margin + 2.0 * TOUCHES * arm.length) / np.linalg.norm(side)
+        sides = winding.points[0] + np.stack([side, -side])
+        nearer = int(winding.body.distances(sides).argmin())
+        state = arm.chain_at(opened)
+        frame = _frame(state, first)
+        frame.translation = frame.translation + (-side if nearer == 0 else side)
+        state, error = bring_to_goal(arm, EndEffector(pose=frame, point=first), state)
+        if error > REACHED * arm.length:
+            raise TaskError(self.where, "the free modules cannot stand off from where it begins")
+        q = self._straightened(state.q, first)
+        self._require_clear(CollisionModel(arm, _untouchable(self.scene, self.obstacle)), q)
         return q
 
     def _straightened(self, q: Array, first: int) -> Array:
         """Return a configuration with the wrapped modules straight."""
         arm = self.arm
         straight = arm.straight()
-        offset = arm.difference(straight, q)
-        offset[arm.columns[arm.module_starts[first + 1] :]] = 0.0
+        offset = np.where(_holds(arm, first), 0.0, arm.difference(straight, q))
         return arm.integrate(straight, offset)
 
     def _seeds(self, first: int, start: Array) -> Iterator[Array]:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm, ArmState, ControlPoints, Ellipsoid
 from pinposture.arm.weight import TORQUE_ROUNDING
 from pinposture.collision import Scene
+from pinposture.collision.bodies import scene_at
 from pinposture.units import length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
@@ -110,7 +111,7 @@ def plot_arm(
     _draw_axes(panel, state.origins, state.placements.axes, half)
     dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": THEME.ink, "mew": 0.9}
     panel.line(state.points[:-1], label="control points", zorder=6.7, **dots)
-    panel.finish(scene)
+    panel.finish(None if scene is None else scene_at(arm, state.q, scene))
     if torques:  # after the base, which the first joint would be behind
         _draw_loads(panel, state)
     panel.line(state.points[-1:], ls="none", marker="D", ms=6.0, color=THEME.ink, label="tip", zorder=7)

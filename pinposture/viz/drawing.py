@@ -368,9 +368,10 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
         points: the other contents of the picture, (n, 3) [m], world frame.
 
     Returns:
-        The obstacles in the order of the scene, without half-spaces that are too far away.
+        The obstacles in the order of the scene, without half-spaces that are too far away, and without those
+        that the arm carries; `scene_at` places these.
     """
-    if scene is None or not scene.obstacles:
+    if scene is None or not scene.standing:
         return []
     low = points.min(axis=0)
     high = points.max(axis=0)
@@ -378,7 +379,7 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
     region = low - DRAWING.view_margin * size, high + DRAWING.view_margin * size
     shown: dict[str, ShownObstacle] = {}
     planes: dict[str, tuple[Array, float]] = {}
-    for name, obstacle in scene.obstacles.items():
+    for name, obstacle in scene.standing.items():
         if isinstance(obstacle, HalfSpace):
             normal = np.array(obstacle.normal)
             planes[name] = normal, float(normal @ obstacle.point)
@@ -399,7 +400,7 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
         seen = np.vstack([points, shown_corners(list(shown.values()))])
         for name, plate in _half_space_plates(planes, seen, size, region).items():
             shown[name] = ShownObstacle(hull_surface(plate), plate, True)
-    return [shown[name] for name in scene.obstacles if name in shown]
+    return [shown[name] for name in scene.standing if name in shown]
 
 
 def shown_corners(shown: Sequence[ShownObstacle]) -> Array:

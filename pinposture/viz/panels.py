@@ -473,7 +473,7 @@ def plot_waypoints(motion: Trajectory, ax: Axes) -> None:
         panel.posture(run.q[-1], color, "final posture", 2.2)
     if run.scene is not None or len(groups) < PANEL.fewest_waypoints:
         draw_intermediate_postures(panel, run, color, evenly_spaced_rows(run))
-    panel.finish(run.scene)
+    panel.finish(run.final_scene)
     handles, labels = ax.get_legend_handles_labels()
     for columns in (3, 2, 1):
         rows_each = -(-len(labels) // columns)

@@ -373,7 +373,7 @@ def draw_runs(runs: Sequence[tuple[Run, str, str]], ax: Axes) -> None:
         panel.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(runs) - 1 - i))
     if len(runs) == 1 and first.scene is not None:
         draw_intermediate_postures(panel, first, first_color, evenly_spaced_rows(first))
-    panel.finish(*(run.scene for run, _, _ in runs))
+    panel.finish(*(run.final_scene for run, _, _ in runs))
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, frameon=False, ncols=3)
 
 

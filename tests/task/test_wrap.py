@@ -47,11 +47,10 @@ def test_the_arm_closes_around_the_object_from_outside(obstacle, turns):
     held = grip(obstacle, turns)
     a = held.arm
     assert abs(overlap(held, held.touching)) <= 1e-4 * a.length
-    assert overlap(held, held.opened) <= 1e-4 * a.length
-    # On the way around it, also between the rows, nothing is deeper inside than where it touches.
-    for motion in (held.phases["approach"], held.phases["wind"]):
-        q = motion.configurations(a)
-        assert max(overlap(held, row) for row in q) <= 1e-4 * a.length + 1e-9
+    # It comes no nearer than the margin until it winds, and then no deeper inside than where it touches.
+    ways = {name: held.phases[name].configurations(a) for name in ("approach", "wind")}
+    assert max(overlap(held, row) for row in ways["approach"]) <= -held.scene.margin + 1e-6
+    assert max(overlap(held, row) for row in ways["wind"]) <= 1e-4 * a.length + 1e-9
     assert overlap(held, held.held) > 1e-3 * a.length  # the command is inside
     # It winds by the turns that it should: the angle about the axis that the wrapped points sweep.
     points = a.at(held.touching).points[held.first :]
@@ -120,6 +119,63 @@ def test_an_arm_that_does_not_squeeze_or_carry_rests_for_a_cycle():
     there = pp.carry(held, (0.0, 0.0, 0.0))
     np.testing.assert_allclose(there.held, held.held, atol=1e-6)
     assert there.motion.duration == pytest.approx(0.02, abs=0.021)
+
+
+def lowest(held: pp.Grip, q: np.ndarray) -> float:
+    """The height of the can above the floor at a configuration, by the pose of the frame that carries it."""
+    a = held.arm
+    before = a.at(held.touching)
+    after = a.at(q)
+    k = held.first
+    turn = after.rotations[k] @ before.rotations[k].T
+    ends = np.array([held.scene.obstacles["it"].start, held.scene.obstacles["it"].end])
+    moved = (ends - before.points[k]) @ turn.T + after.points[k]
+    tilt = np.hypot(*(moved[1] - moved[0])[:2]) / np.linalg.norm(moved[1] - moved[0])
+    return float(moved[:, 2].min() - CAN.radius * tilt + 0.12)
+
+
+@pytest.mark.long
+def test_what_is_carried_keeps_clear_unless_it_stood_there_or_is_put_down():
+    held = grip()
+    assert held.carrying.carried["it"].beside == ("floor",)
+    lifted = pp.carry(held, (0.0, 0.0, 0.1))
+    assert lifted.carrying.carried["it"].beside == ()
+    assert lowest(lifted, lifted.touching) == pytest.approx(0.1, abs=2e-5)
+    near = pp.carry(lifted, (0.0, 0.0, -0.0945))
+    assert lowest(near, near.touching) == pytest.approx(0.0055, abs=5e-5)
+    for deeper in (-0.097, -0.1):
+        with pytest.raises(TaskError, match="it comes within the margin of floor"):
+            pp.carry(lifted, (0.0, 0.0, deeper))
+    down = pp.carry(lifted, (0.0, 0.05, -0.1), onto=["floor"])
+    assert lowest(down, down.touching) == pytest.approx(0.0, abs=5e-5)
+    with pytest.raises(TaskError, match="it is pressed into floor"):
+        pp.carry(lifted, (0.0, 0.0, -0.103), onto=["floor"])
+    with pytest.raises(UnknownName, match="nothing"):
+        pp.carry(lifted, (0.0, 0.0, 0.1), onto=["nothing"])
+    # It may slide along the floor on which it stands, but not into it.
+    assert lowest(held, pp.carry(held, (0.0, 0.02, 0.0)).touching) == pytest.approx(0.0, abs=5e-5)
+    with pytest.raises(TaskError, match="it comes within the margin of floor"):
+        pp.carry(held, (0.0, 0.0, -0.01))
+
+
+@pytest.mark.long
+def test_what_is_carried_is_stopped_before_an_obstacle_that_the_arm_would_miss():
+    held = grip()
+    # A ceiling above the can, higher than any part of the arm is lifted to.
+    ceiling = {**held.scene.obstacles, "shelf": pp.Box((0.42, 0.12, 0.2), (0.1, 0.1, 0.02))}
+    under = replace(held, scene=held.scene.with_obstacles(ceiling))
+    pp.carry(under, (0.0, 0.0, 0.06))  # up to 10 mm below
+    with pytest.raises(TaskError, match="it comes within the margin of shelf"):
+        pp.carry(under, (0.0, 0.0, 0.067))
+
+
+@pytest.mark.long
+def test_an_arm_lets_go_where_it_stands_off_and_goes_on_clear_of_what_it_left():
+    held = pp.carry(pp.carry(grip(), (0.0, 0.0, 0.1)), (0.0, 0.05, -0.1), onto=["floor"])
+    assert overlap(held, held.opened) == pytest.approx(-held.scene.margin - 4e-4, abs=1e-4)
+    away = pp.unwrap(held, held.arm.straight()).configurations(held.arm)
+    off = int(np.argmin([np.abs(held.arm.difference(held.opened, q)).max() for q in away]))
+    assert max(overlap(held, q) for q in away[off:]) <= -held.scene.margin + 1e-6
 
 
 @pytest.mark.long
