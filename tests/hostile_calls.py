@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import hostile_inputs
 import numpy as np
+import pinocchio as pin
 from hostile_inputs import a_target, an_arm
 
 import pinposture as pp
@@ -48,7 +49,7 @@ NUMBERS = {
     "-1": -1,
     "text": "x",
 }
-RECORDS = ("Leader",)
+RECORDS = ("Leader", "Intrinsics", "Mounting")
 """Classes that hold arguments, which are checked where they are used."""
 OTHERS: dict[str, Any] = {"text": "x", "object": object(), "list": [], "number": 3, "none": None}
 MEMORY = 3 << 30
@@ -63,6 +64,13 @@ def a_log() -> pp.Log:
     times = 0.05 * np.arange(60)
     sent = 0.5 * np.sin(3.0 * times[:, None] + np.arange(6))
     return pp.Log(times, sent, times, 0.9 * sent, an_arm().joint_names, 0.2 * sent, (0.0, 0.0, -9.81), 0.1)
+
+
+def a_map() -> pp.Map:
+    mapped = pp.Map(0.05, an_arm())
+    mapped.measure(np.zeros(6), 0.0)
+    mapped.measure(np.full(6, 0.1), 0.9)
+    return mapped
 
 
 class FromPoints(NamedTuple):
@@ -269,6 +277,32 @@ def examples() -> dict[str, Any]:
         "planning": "thread",
         "max_rate": 1.0,
         "length": 0.1,
+        "resolution": 0.05,
+        "Map.center": (0.0, 0.0, 0.0),
+        "reach": 0.5,
+        "own_margin": 0.01,
+        "forget": 5.0,
+        "unknown": "free",
+        "sensor_range": (0.1, 2.0),
+        "content": None,
+        "Map.measure.time": 1.0,
+        "Map.configuration_at.time": 0.5,
+        "Map.add_cloud.time": 0.5,
+        "Map.add_depth.time": 0.5,
+        "Map.advance.time": 0.5,
+        "Map.add_cloud.points": np.array([(0.1, 0.2, 0.3), (0.2, 0.1, 0.3)]),
+        "Map.states.points": np.array([(0.1, 0.2, 0.3), (0.2, 0.1, 0.3)]),
+        "Map.add_depth.depth": np.full((4, 5), 0.3),
+        "camera": pp.Intrinsics(4.0, 4.0, 2.0, 1.5),
+        "sensor": pin.SE3.Identity(),
+        "mounting": pp.Mounting("module_02", pin.SE3.Identity()),
+        "Mounting.placement": pin.SE3.Identity(),
+        "fx": 4.0,
+        "fy": 4.0,
+        "cx": 2.0,
+        "cy": 1.5,
+        "maps": {},
+        "before": scene,
         **hostile_inputs.examples(),
     }
 
@@ -283,6 +317,7 @@ SUBJECTS: dict[str, Callable[[], Any]] = {
     "JointPosture": lambda: pp.JointPosture(np.zeros(6)),
     "JointTrajectory": lambda: pp.JointTrajectory.from_configurations(an_arm(), np.zeros((3, 6)), 0.1),
     "Limits": lambda: examples()["limits"],
+    "Map": a_map,
     "ModuleTemplate": lambda: pp.template("RyRz"),
     "PointFilter": lambda: pp.PointFilter(an_arm(), 0.02, 1e-4),
     "Projection": pp.Projection,

@@ -1,5 +1,7 @@
 """Obstacles, scenes and scans, and the distances between an arm, obstacles and itself."""
 
+from pinposture.collision.cells import Cells
+from pinposture.collision.mapping import Intrinsics, Map, MapContent, Mounting
 from pinposture.collision.model import Closest, CollisionModel, Distances, ExcludedPair
 from pinposture.collision.obstacles import Obstacle, obstacle_from_dict
 from pinposture.collision.pipe import Bend, pipe, pipe_axis, pipe_walls
@@ -14,13 +16,18 @@ __all__ = [
     "Box",
     "Capsule",
     "Carried",
+    "Cells",
     "Closest",
     "CollisionModel",
     "Cylinder",
     "Distances",
     "ExcludedPair",
     "HalfSpace",
+    "Intrinsics",
+    "Map",
+    "MapContent",
     "Mesh",
+    "Mounting",
     "Obstacle",
     "Scan",
     "Scene",

@@ -185,6 +185,9 @@ class Narrow(threading.local):
 
 NO_PAIR = -1
 
+_PLACES = ("lines", "centers", "frames", "halves")
+"""What tells in `Pairs` where obstacles are."""
+
 _WITH_RADIUS = (SEGMENT, PIECE, INSIDE)
 """Kinds of obstacles whose radius counts apart from the primitive."""
 
@@ -302,6 +305,7 @@ class PairDistances:
         exact = [each.round for each in bodies] + [each.exact for each in fixed]
         self._kinds = kinds
         self._exact = np.array(exact, dtype=np.bool_)
+        self._coarse = np.array([False] * len(bodies) + [each.coarse for each in fixed], dtype=np.bool_)
         deep = np.zeros(len(fixed)) if depths is None else np.asarray(depths, dtype=np.float64)
         self._depths = np.concatenate([np.zeros(len(bodies)), deep])
         round_radii = [each.radius if each.kind in _WITH_RADIUS else 0.0 for each in fixed]
@@ -342,7 +346,8 @@ class PairDistances:
         self.first, self.second = (np.ascontiguousarray(side) for side in listed.T)
         kinds = self._kinds[self.second]
         # For a closed surface, the inside test is exact for the whole capsule.
-        exact = (self._exact[self.first] & self._exact[self.second]) | (kinds == INSIDE)
+        exact = self._exact[self.first] & self._exact[self.second]
+        exact |= (kinds == INSIDE) | self._coarse[self.second]
         self._arrays = self._arrays._replace(
             first=self.first,
             second=self.second,
@@ -357,21 +362,45 @@ class PairDistances:
         self._left_out = np.where(kinds == PIECE, self._arrays.radii[self.second], -self._depths[self.second])
 
     def with_obstacles(self, changes: Mapping[int, Solid]) -> PairDistances:
-        """Return the distances with some obstacles, by index, replaced by others of the same kind."""
+        """Return the distances with some obstacles, by index, replaced by others of the same kind.
+
+        Pieces of a tree may be replaced by those of another one with points of the same radius.
+        """
+        if not changes:
+            return self
         other = copy(self)
         bodies = len(self._joints)
         other._solids = list(self._solids)
         other._fixed = list(self._fixed)
-        arrays = self._arrays._replace(
-            **{name: getattr(self._arrays, name).copy() for name in ("lines", "centers", "frames")}
-        )
+        arrays = self._arrays._replace(**{name: getattr(self._arrays, name).copy() for name in _PLACES})
         for k, each in changes.items():
             other._solids[bodies + k] = each
             other._fixed[k] = coal.Transform3s(each.rotation, each.position)
-            arrays.lines[k] = (each.start, each.end)
-            arrays.centers[k] = each.center
-            arrays.frames[k] = each.rotation
+        numbers = list(changes)
+        solids = changes.values()
+        arrays.lines[numbers, 0] = [each.start for each in solids]
+        arrays.lines[numbers, 1] = [each.end for each in solids]
+        arrays.centers[numbers] = [each.center for each in solids]
+        arrays.frames[numbers] = [each.rotation for each in solids]
+        arrays.halves[numbers] = [each.half for each in solids]
+        before = self._solids[bodies:]
+        if any(
+            isinstance(each.shape, tuple) and each.shape != before[k].shape for k, each in changes.items()
+        ):
+            shapes = [each.shape for each in other._solids[bodies:]]
+            trees = join_trees([shape if isinstance(shape, tuple) else None for shape in shapes])
+            arrays = arrays._replace(trees=trees)
         other._arrays = arrays
+        return other
+
+    def as_in(self, moment: PairDistances) -> PairDistances:
+        """Return the distances of these pairs where `with_obstacles` has put the obstacles of others."""
+        other = copy(self)
+        other._solids = moment._solids
+        other._fixed = moment._fixed
+        there = moment._arrays
+        places = {name: getattr(there, name) for name in _PLACES}
+        other._arrays = self._arrays._replace(**places, trees=there.trees)
         return other
 
     def open_pieces(self, center: Array) -> list[Piece]:

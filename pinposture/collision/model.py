@@ -509,6 +509,8 @@ class CollisionModel:
             return self
         moment = self._moment  # another thread may change it
         if moment is None or moment.scene is not scene:
+            if self.scene.maps:
+                _ = self._of_maps
             moment = self._copy()
             moment.scene = scene
             standing = scene.standing
@@ -750,6 +752,27 @@ class CollisionModel:
             found = distances.minimum_on_motions(self._kinematics, q0, offsets, drifts, wanted)[0]
             lowest = min(lowest, found)
         return Closest(lowest, None)
+
+    def clear_of_maps(self, q0: Array, offsets: Array, least: float) -> bool:
+        """Return whether straight joint motions keep a distance from the maps of the scene.
+
+        Args:
+            q0: as for `minimum_on_motions`.
+            offsets: as for `minimum_on_motions`.
+            least: the distance [m].
+        """
+        size = self._arm_length
+        search = MotionSearch(least, least, MOTION_TOLERANCE * size, OPEN_MOTION * size)
+        still = np.zeros((len(offsets), 3))
+        distances = self._of_maps.as_in(self._distances)
+        return distances.minimum_on_motions(self._kinematics, q0, offsets, still, search)[0] >= least
+
+    @cached_property
+    def _of_maps(self) -> PairDistances:
+        """The distances from the maps of the first scene, which models of its moments share."""
+        solids = np.concatenate([np.arange(0), *(self._numbers[name] for name in self.scene.maps)])
+        chosen = np.isin(self._distances.second, len(self.bodies) + solids)
+        return self._distances.among(np.column_stack([self._distances.first, self._distances.second])[chosen])
 
     @cached_property
     def _by_velocity(self) -> list[tuple[Array, PairDistances]]:

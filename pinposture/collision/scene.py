@@ -26,6 +26,7 @@ from pinposture._validation import (
     require_positive,
     set_fields,
 )
+from pinposture.collision.cells import Cells
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import Obstacle, ObstacleField, displaced
 from pinposture.collision.shapes import UNTURNED, Point, Size, Sphere, Turn
@@ -53,6 +54,7 @@ from pinposture.schema import (
     refusing,
 )
 from pinposture.storage import require_suffix, settled, write_text
+from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
@@ -236,11 +238,15 @@ class Scene(Declared):
 
     @cached_property
     def moving(self) -> frozenset[str]:
-        """Names of the obstacles that have been moved or have a velocity."""
+        """Names of the obstacles that have been moved or have a velocity, and of maps."""
         before = self.first.obstacles
-        return frozenset(name for name, each in self.obstacles.items() if before[name] is not each) | {
-            *self.velocities
-        }
+        changing = (name for name, each in self.obstacles.items() if before[name] is not each)
+        return frozenset(changing) | {*self.velocities, *self.maps}
+
+    @cached_property
+    def maps(self) -> frozenset[str]:
+        """Names of the obstacles that are cells of maps."""
+        return frozenset(name for name, each in self.first.obstacles.items() if isinstance(each, Cells))
 
     def moved(
         self,
@@ -280,6 +286,41 @@ class Scene(Declared):
             require_known("obstacle", name, obstacles)
         return self._at_moment(obstacles, speeds)
 
+    def updated(self, maps: Mapping[str, Cells]) -> Scene:
+        """Return the scene with the latest cells of maps.
+
+            scene = scene.updated({"map": mapped.cells})
+
+        It is the same scene at another moment, as from `moved`, and made as quickly: what distances need is
+        made with the cells.
+
+        Args:
+            maps: the cells by the names that those of these maps have in the first scene.
+
+        Raises:
+            UnknownName: an unknown map.
+            InvalidValue: no cells, or those of a map of another resolution.
+        """
+        require_instance("maps", maps, Mapping, "a mapping from names of maps")
+        obstacles = dict(self.obstacles)
+        for name, cells in maps.items():
+            require_known("map", name, self.maps)
+            require_instance(f"maps[{name!r}]", cells, Cells, "the cells of a map")
+            size = self.first.obstacles[name].point_radius
+            if cells.point_radius != size:
+                given = f"cells with a radius of {length_text(cells.point_radius)}"
+                raise InvalidValue(f"maps[{name!r}]", given, f"a radius of {length_text(size)}, as at first")
+            obstacles[name] = cells
+        return self._at_moment(obstacles, dict(self.velocities))
+
+    def has_maps_of(self, before: Scene | None) -> bool:
+        """Return whether maps are as they were at another moment of the same scene."""
+        if not self.maps or before is self:
+            return True
+        if before is None or before.maps != self.maps:
+            return False
+        return all(self.obstacles[name] is before.obstacles[name] for name in self.maps)
+
     def after(self, time: float) -> Scene:
         """Return the scene after a time [s] in which obstacles keep their velocities.
 
@@ -301,7 +342,8 @@ class Scene(Declared):
         """Return how far obstacles are from where they were at another moment of the same scene [m].
 
         Args:
-            before: a scene that `moved` or `after` derived from the same first one; infinity otherwise.
+            before: a scene that `moved` or `after` derived from the same first one; infinity otherwise, and
+                if a map has other cells.
             reach: distance from the middle of an obstacle at which its rotation counts [m].
 
         Raises:
@@ -315,6 +357,8 @@ class Scene(Declared):
         for name, each in self.obstacles.items():
             there = before.obstacles[name]
             if each is not there:
+                if name in self.maps and each.content[0] is not there.content[0] and each != there:
+                    return math.inf
                 motion = there.pose(np.zeros(3)).actInv(each.pose(np.zeros(3)))
                 turned = float(np.linalg.norm(pin.log3(motion.rotation)))
                 farthest = max(farthest, float(np.linalg.norm(motion.translation)) + reach * turned)

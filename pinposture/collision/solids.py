@@ -113,6 +113,8 @@ class Solid(NamedTuple):
         half: half the edge lengths of that box, (3,) [m].
         kind: the primitive used for distances from capsules, as in `kernels.arrays.Pairs`.
         exact: whether the solid is that primitive; otherwise the primitive contains it.
+        coarse: whether bodies count as the capsules around them in distances from it, so that none needs
+            coal: it is replaced too often for that.
     """
 
     shape: coal.CollisionGeometry | Piece
@@ -125,6 +127,7 @@ class Solid(NamedTuple):
     half: Array
     kind: int
     exact: bool
+    coarse: bool = False
 
     @property
     def round(self) -> bool:

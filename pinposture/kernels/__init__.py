@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # for checkers and editors
     from pinposture.kernels.kinematics import *
     from pinposture.kernels.manipulability import *
     from pinposture.kernels.modules import *
+    from pinposture.kernels.occupancy import *
     from pinposture.kernels.path_following import *
     from pinposture.kernels.path_relaxation import *
     from pinposture.kernels.posture_matrix import *
@@ -46,6 +47,7 @@ _KERNELS = {
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
     ),
     "modules": "module_crossings module_faces module_forward module_inverse neighbours place_modules",
+    "occupancy": "cast_rays clear_capsules find_surface forget_cells place_pixels read_cells",
     "path_following": (
         "advance fill_torque_rows find_speed_profile joint_distance look_ahead next_path_speed "
         "path_offset position_excess shorten_step smooth_offsets spline_slopes step_along step_box "

@@ -20,6 +20,8 @@ Ints2 = Annotated[NDArray[np.int64], 2]
 Flags1 = Annotated[NDArray[np.bool_], 1]
 Flags2 = Annotated[NDArray[np.bool_], 2]
 Bytes1 = Annotated[NDArray[np.int8], 1]
+Singles1 = Annotated[NDArray[np.float32], 1]
+Halves1 = Annotated[NDArray[np.int32], 1]
 """C-contiguous arrays by number of dimensions: the types for which `kernels.compiled` compiles."""
 
 Three = tuple[float, float, float]
@@ -511,6 +513,27 @@ class Pairs(NamedTuple):
     shapes: Ints1
     groups: Ints2
     starts: Ints1
+
+
+class OccupancyGrid(NamedTuple):
+    """A cube of cells in n blocks of 8 x 8 x 8 along each edge; see `kernels.occupancy`.
+
+    Attributes:
+        corner: its lowest corner, (3,) [m].
+        resolution: edge length of a cell [m].
+        blocks: n.
+        evidence: of each cell, block by block, (n**3 * 512,): above 0 for something seen there, times the
+            scale at that time; -1 for free; 0 for unknown.
+        marks: what a cell has been in the last picture that covered it, (n**3 * 512,).
+        used: whether a block has cells that are not unknown, (n**3,).
+    """
+
+    corner: Array1
+    resolution: float
+    blocks: int
+    evidence: Singles1
+    marks: Halves1
+    used: Bytes1
 
 
 BLOCK = 8

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_finite, require_known
 from pinposture.arm import Arm
+from pinposture.collision import Map, MapContent
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.batch import Batch
@@ -188,10 +189,10 @@ def register(form: Format) -> None:
 def save(result: Any, path: str | Path) -> Path:
     """Write a result to a file atomically.
 
-    A `Run`, `Trajectory`, `Batch` or `Simulation` is written as a `.npz` archive that includes the arm,
-    the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless; ".csv"
-    omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`, with times in
-    whole nanoseconds, as are ".yaml" and ".yml", with the same text.
+    A `Run`, `Trajectory`, `Batch`, `Simulation` or `Map` is written as a `.npz` archive that includes the
+    arm, the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless;
+    ".csv" omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`, with times
+    in whole nanoseconds, as are ".yaml" and ".yml", with the same text.
 
     Args:
         result: the result.
@@ -238,8 +239,8 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
 
     Args:
         path: the file.
-        kind: the expected class: `Run`, `Trajectory`, `Batch`, `Simulation` or `JointTrajectory`; any if
-            None.
+        kind: the expected class: `Run`, `Trajectory`, `Batch`, `Simulation`, `JointTrajectory` or `Map`; any
+            if None.
 
     Raises:
         FileError: the file is missing, damaged, or contains something else; names line or point of a text
@@ -568,6 +569,26 @@ def _unpack_joints(kind: type, about: About, arrays: Arrays) -> dict[str, Any]:
     return unpack(kind, about | {name: arrays[name].tolist() for name in _OF_JOINTS}, arrays)
 
 
+# Maps. What a map knows is packed as a part of it; which configurations were measured is not kept.
+
+_OF_A_MAP = ("resolution", "center", "reach", "own_margin", "forget", "unknown", "sensor_range")
+
+
+def _pack_map(mapped: Map) -> tuple[About, Arrays]:
+    about: About = {name: getattr(mapped, name) for name in _OF_A_MAP}
+    about["arm"] = None if mapped.arm is None else mapped.arm.to_dict()
+    content = mapped.content
+    about["time"] = content.time
+    return about, {"cells": content.cells, "evidence": content.evidence}
+
+
+def _unpack_map(kind: type, about: About, arrays: Arrays) -> dict[str, Any]:
+    values = {name: about[name] for name in _OF_A_MAP}
+    values["arm"] = None if about["arm"] is None else Arm.from_dict(about["arm"])
+    values["content"] = MapContent(arrays["cells"], arrays["evidence"], about["time"])
+    return values
+
+
 _NO_RUN = {
     "pinposture-batch": "contains many runs; save one of them: pp.save(pp.load(file)[0], ...)",
     "pinposture-motion": "contains a motion in time; its run is pp.load(file).run",
@@ -587,3 +608,4 @@ register(Format("pinposture-batch", 5, Batch, "batch", _check_batch, {}, _pack_b
 register(
     Format(_JOINTS, 1, JointTrajectory, "joint trajectory", lambda _: None, {}, _pack_joints, _unpack_joints)
 )
+register(Format("pinposture-map", 1, Map, "map", lambda _: None, {}, _pack_map, _unpack_map))

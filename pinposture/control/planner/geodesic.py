@@ -14,6 +14,7 @@ from pinposture._validation import finite_array
 from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.arm.weight import scaled
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits, stopping_steps
@@ -210,7 +211,12 @@ class Geodesic:
     def _go_on(self, now: _Situation, progress: PathProgress) -> PathProgress:
         """Return the progress to the same target, on another path if the arm makes none on this one."""
         progress = self._renewed(progress)  # which needs no new path
-        if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
+        cut = False
+        if self.scene is not None and not self.scene.has_maps_of(progress.path.scene):
+            clear = bool(progress.path.blocked_by)  # or not, but that is known
+            progress = progress.among(self.scene)
+            cut = not (clear or progress.arrived or self._is_clear_of_maps(now, progress))
+        if not cut and (progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived):
             return _within(progress, now)
         attempt = progress.path.attempt + 1
         if self.scene is not None and self.scene.moving:  # the path may be clear later
@@ -219,6 +225,18 @@ class Geodesic:
             return progress._replace(arrived=True)
         path = self._find_path(self._problem(progress.objective, now.state, now.bounds), attempt)
         return PathProgress.begin(timed_again(path, now.limits, effort=progress.timed.effort))
+
+    def _is_clear_of_maps(self, now: _Situation, progress: PathProgress) -> bool:
+        """Whether the path ahead keeps the margin to maps, as far as the arm does now."""
+        avoidance = now.avoidance(progress)
+        if avoidance is None:
+            return True
+        path = progress.path
+        ahead = path.offsets[int(progress.place) + 1 :] - path.offset_of(now.state, progress.place)
+        left = np.vstack([np.zeros((1, ahead.shape[1])), ahead])
+        tolerated = MOTION_TOLERANCE * now.state.arm.length
+        least = min(avoidance.margin, avoidance.clearance.minimum_at(now.state).distance) - tolerated
+        return avoidance.clearance.clear_of_maps(now.state.q, left, least)
 
     def _find_path(self, problem: PlanningProblem, attempt: int = 0) -> JointPath:
         if self.plans:
