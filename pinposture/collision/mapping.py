@@ -254,11 +254,10 @@ class Map:
         after = int(np.searchsorted(times, when))
         later, end = history[after]
         if later == when:
-            return end.copy()
+            return np.array(end)
         earlier, start = history[after - 1]
         share = (when - earlier) / (later - earlier)
-        between: Array = arm.integrate(start, share * arm.difference(start, end))
-        return between
+        return arm.integrate(start, share * arm.difference(start, end))
 
     def sensor_placement(self, mounting: Mounting, q: ArrayLike) -> pin.SE3:
         """Return the placement of a mounted sensor at a configuration (nq,), world frame.
