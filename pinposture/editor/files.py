@@ -25,13 +25,13 @@ from pinposture.control import Limits
 from pinposture.control.limits import DEFAULT_CYCLE
 from pinposture.curve import Curve
 from pinposture.editor.edits import SHAPE, Shape, joints_at, keyframes_of
-from pinposture.editor.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.editor.phases import editable
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
 from pinposture.errors import FileError, PostureError
 from pinposture.motion import Trajectory, save
+from pinposture.motion.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.placement.target import arm_axis
 from pinposture.storage import settled
 from pinposture.task import Keyframe, Task

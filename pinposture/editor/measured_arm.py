@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pinposture._validation import require_instance
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
-from pinposture.editor.latest import Done, Latest
 from pinposture.errors import FileError, InvalidValue
+from pinposture.motion.latest import Done, Latest
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
-from pinposture.editor.latest import EXPECTED_ERRORS, Latest, Outdated
 from pinposture.editor.solver import Live, at_limit, errors_of
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
+from pinposture.motion.latest import EXPECTED_ERRORS, Latest, Outdated
 from pinposture.placement import Target
 from pinposture.task import Task
 

@@ -20,7 +20,6 @@ from pinposture.collision.model import effective_scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, Geodesic, Limits
 from pinposture.editor.edits import differ_in_weight_alone
-from pinposture.editor.latest import Latest
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
@@ -32,6 +31,7 @@ from pinposture.errors import (
 )
 from pinposture.motion import Tracker
 from pinposture.motion.deadline import NOT_DONE
+from pinposture.motion.latest import Latest
 from pinposture.motion.run import CONTACT_TOLERANCE
 from pinposture.placement import Target
 from pinposture.task import Keyframe

@@ -22,11 +22,11 @@ from pinposture.collision.files import MESH_FORMATS
 from pinposture.collision.scan import Scan
 from pinposture.collision.shapes import MAX_PLAUSIBLE_WIDTH
 from pinposture.editor.edits import Edit, keyframes_of, with_obstacle
-from pinposture.editor.latest import EXPECTED_ERRORS, Latest
 from pinposture.editor.obstacles import free_name, insert_obstacle, obstacles_of
 from pinposture.editor.session import NearestObstacle, Session
 from pinposture.editor.solver import Live, VerdictCache
 from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.motion.latest import EXPECTED_ERRORS, Latest
 from pinposture.motion.run import CONTACT_TOLERANCE
 from pinposture.storage import write_bytes
 from pinposture.task import Keyframe, Task

@@ -511,18 +511,18 @@ class _Row(NamedTuple):
     effort: NDArray[np.float64]
 
 
-def _stamp(message: Any, received: int) -> int:
-    """Return the time of a message with a header [ns]; that of reception if its stamp is zero."""
+def stamp_of(message: Any) -> int:
+    """Return the time stamp of a message with a header [ns]."""
     stamp = message.header.stamp
-    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec) or received
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def _joint_state(message: Any, received: int, _: Sequence[str]) -> list[_Row]:
-    return [_Row(_stamp(message, received), tuple(message.name), message.position, message.effort)]
+    return [_Row(stamp_of(message) or received, tuple(message.name), message.position, message.effort)]
 
 
 def _joint_trajectory(message: Any, received: int, _: Sequence[str]) -> list[_Row]:
-    begin = _stamp(message, received)
+    begin = stamp_of(message) or received
     names = tuple(message.joint_names)
     rows = []
     for point in message.points:

@@ -489,7 +489,7 @@ class Tracker:
             self._loop.steps.controller = controller
             if self._has_other_obstacles(scene):
                 self._try_again()
-        if self._former is not None and self._is_at_rest():
+        if self._former is not None and self.at_rest:
             self._take_limits()
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         feedback = self._feedback.update(q_measured, points, dt)
@@ -697,8 +697,9 @@ class Tracker:
         closest = self._clearance[2]
         return f"{text}; {describe_distance(closest.pair or (), closest.distance)}"
 
-    def _is_at_rest(self) -> bool:
-        """Whether the arm does not move, and no step that is still to come moves it."""
+    @property
+    def at_rest(self) -> bool:
+        """Whether what is sent does not move, and no step that is still to come moves it."""
         memory = self._loop.memory
         compensating = self._sag is not None and self._sag.moving
         return memory is None or not (self._smoothing.moving or bool(np.any(memory.dq)) or compensating)

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import viser
 
 from pinposture.editor.files import EXPORT_KINDS, Files, export, task_files, within
-from pinposture.editor.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
 from pinposture.motion import Trajectory
+from pinposture.motion.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.task import Task
 
 NO_FILE = "choose a task file"  # shown where none is chosen

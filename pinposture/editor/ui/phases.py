@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.editor.latest import Done, Latest
 from pinposture.editor.phases import EditedPhase, editable, phase_label, with_phase
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
@@ -32,6 +31,7 @@ from pinposture.editor.ui.parts import (
     put_at,
 )
 from pinposture.errors import TaskError
+from pinposture.motion.latest import Done, Latest
 from pinposture.task import Leader, Phase, Task, TipGoal
 from pinposture.task.phases import phase_title
 from pinposture.viz.drawing import link_radius

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinposture.editor.latest import Done, Latest, Outdated
 from pinposture.errors import InvalidValue
+from pinposture.motion.latest import Done, Latest, Outdated
 
 PATIENCE = 30.0
 NAME = "pinposture-test"

@@ -1,4 +1,4 @@
-"""Work beside the editor's loop: of what is asked, only the latest request counts."""
+"""Work beside a loop: of what is asked, only the latest request counts."""
 
 from __future__ import annotations
 
