@@ -2,6 +2,7 @@
 
 from pinposture.arm.mjcf import MujocoMissing
 from pinposture.motion.drive_response import DriveModel
+from pinposture.sim.camera import DepthCamera, TipCamera
 from pinposture.sim.contact import ContactEvent, ContactHistory, ContactModel
 from pinposture.sim.control_loop import (
     AnyMotion,
@@ -21,6 +22,7 @@ __all__ = [
     "ContactEvent",
     "ContactHistory",
     "ContactModel",
+    "DepthCamera",
     "DriveModel",
     "Drives",
     "Gains",
@@ -32,6 +34,7 @@ __all__ = [
     "SetPoints",
     "Simulation",
     "StreamingController",
+    "TipCamera",
     "build_plant_model",
     "mass_matrix",
     "set_points",

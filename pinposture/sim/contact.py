@@ -197,7 +197,7 @@ def add_contact(spec: Any, arm: Arm, scene: Scene, contact: ContactModel) -> Non
     shapes = []
     for index, (joint, solid) in enumerate(model.solids):
         shapes.append(f"{ARM} {index} {model.bodies[index]}")
-        _add_shape(spec, spec.body(str(arm.model.names[joint])), shapes[index], solid)
+        add_shape(spec, spec.body(str(arm.model.names[joint])), shapes[index], solid)
     for name, obstacle in scene.obstacles.items():
         shapes.append(f"{OBSTACLE} {name}")
         _add_obstacle(spec, name, obstacle, contact.masses.get(name))
@@ -223,7 +223,7 @@ def _add_obstacle(spec: Any, name: str, obstacle: Described, mass: float | None)
         raise InvalidValue(f"masses[{name!r}]", mass, f"none, as a {shape.type} has no end")
     (solid,) = shape.solids()
     if mass is None:
-        _add_shape(spec, spec.worldbody, f"{OBSTACLE} {name}", solid)
+        add_shape(spec, spec.worldbody, f"{OBSTACLE} {name}", solid)
         return
     inertia = solid_inertia(solid)
     middle = np.array(inertia.lever)
@@ -232,10 +232,10 @@ def _add_obstacle(spec: Any, name: str, obstacle: Described, mass: float | None)
         pos=middle, explicitinertial=True, mass=mass, ipos=np.zeros(3), fullinertia=[xx, yy, zz, xy, xz, yz]
     )
     body.add_freejoint(name=f"{FREE} {name}")
-    _add_shape(spec, body, f"{OBSTACLE} {name}", solid._replace(position=solid.position - middle))
+    add_shape(spec, body, f"{OBSTACLE} {name}", solid._replace(position=solid.position - middle))
 
 
-def _add_shape(spec: Any, body: Any, name: str, solid: Solid) -> None:
+def add_shape(spec: Any, body: Any, name: str, solid: Solid) -> None:
     """Add a shape, which collides only in the pairs that are named."""
     mujoco = load_mujoco()
     kinds = mujoco.mjtGeom

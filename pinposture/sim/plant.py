@@ -14,13 +14,14 @@ by iteration or, if that cycles, by a quadratic program.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 from copy import copy
 from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive, require_share
+from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm.mjcf import load_mujoco, no_log_file
 from pinposture.errors import warn_caller
 from pinposture.schema import CheckedBy, Count, Declared, JointDistance, WholeNumber, declared, quantity
@@ -35,6 +36,7 @@ from pinposture.sim.model import (
 Array = NDArray[np.float64]
 
 RUNAWAY = 1e3  # joint speed at which a simulation ends as unstable [rad/s or m/s]
+STUCK_DAMPING = 1e9  # of a joint that is stuck: 100 N m move it by 1e-7 rad/s [N m s/rad or N s/m]
 TRIALS = 6  # maximum number of iterations on the set of saturated servos before the quadratic program
 
 
@@ -89,8 +91,9 @@ class Plant:
         if model.contact is not None:
             self.contacts = ContactRecorder(self._model, model.contact, model.touchable)
             self.contacts.end_cycle(self._data, dt)
-        most = model.torque_limits
-        self._torques = np.clip(self._compensation, -most, most)
+        self._free_damping = np.array(self._model.dof_damping)
+        self._limits = np.array(model.torque_limits)
+        self._torques = np.clip(self._compensation, -self._limits, self._limits)
 
     @property
     def positions(self) -> Array:
@@ -119,6 +122,25 @@ class Plant:
         own = self._data.qfrc_gravcomp[: self._joints]
         compensation[np.sort(self._driven)] = self.model.coupling.T @ own
         return compensation
+
+    def fail(self, stuck: Collection[str] = (), limp: Collection[str] = ()) -> None:
+        """Let joints fail from now on; joints that failed before and are not named work again.
+
+        Args:
+            stuck: names of joints that do not move any more.
+            limp: names of joints whose drives have no torque any more.
+
+        Raises:
+            UnknownName: a joint that no drive moves.
+        """
+        names = self.model.arm.drives.names
+        columns = dict(zip(names, self.model.columns, strict=True))
+        for name in (*stuck, *limp):
+            require_known("joint with a drive", name, names)
+        self._limits = np.array(self.model.torque_limits)
+        self._limits[[columns[name] for name in limp]] = 0.0
+        self._model.dof_damping[:] = self._free_damping
+        self._model.dof_damping[[columns[name] for name in stuck]] = STUCK_DAMPING
 
     def advance(self, command: Array) -> bool:
         """Simulate one control cycle; return False if the arm runs away, see `failure`.
@@ -158,7 +180,7 @@ class Plant:
         """Take a physics step in which no servo exceeds its limit."""
         data = self._data
         damping = self.model.gains.damping
-        limits = self.model.torque_limits
+        limits = self._limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
         compensation = self._compensation  # it counts towards the limits
         own_positions = state[0][: self._joints]
