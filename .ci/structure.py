@@ -134,6 +134,7 @@ ORDER = (
     ("motion",),
     ("task",),
     ("sim",),
+    ("ros2",),
     ("viz",),
     ("editor",),
     ("notebook",),

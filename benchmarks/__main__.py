@@ -36,6 +36,7 @@ SCRIPTS = (
     "qp_solvers",
     "rate",
     "reach",
+    "ros2",
     "scan_obstacles",
     "soak",
     "switching",

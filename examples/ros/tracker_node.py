@@ -2,6 +2,9 @@
 
 python examples/ros/tracker_node.py arm.urdf curve.json
 
+A node of your own in sixty lines, to start from. `pinposture drive` does more: it checks time stamps, takes
+point clouds, reports diagnostics, and brakes before it ends.
+
 The commands go to a JointGroupPositionController of ros2_control that has the joints in the order of
 `arm.drives.names`, which are those of `arm.joint_names` unless joints are coupled.
 Publish a std_msgs/String with the name of a curve file on /curve to give the arm another shape.

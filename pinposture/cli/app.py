@@ -18,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 from pinposture.cli import (
     batch,
     compile,
+    drive,
     edit,
     export,
     generate,
@@ -259,6 +260,8 @@ VERBS: dict[str, Callable[..., None]] = {
     "export": export.run,
     "simulate": simulate.run,
     "identify": identify.run,
+    "drive": drive.run,
+    "robot": drive.run_robot,
     "compile": compile.run,
 }
 for name, verb in VERBS.items():

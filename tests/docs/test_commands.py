@@ -72,7 +72,7 @@ def check_options(words: list[str], program: typer.Typer, complete: bool) -> Non
             return
         options = {name for each in found.params for name in (*each.opts, *each.secondary_opts)}
         options.add("--help")
-        for word in rest:
+        for word in rest[: rest.index("--")] if "--" in rest else rest:  # behind it are those of ROS 2
             assert not re.match("--?[a-zA-Z]", word) or word.split("=")[0] in options, f"no option {word!r}"
         if complete and not hasattr(found, "commands"):
             found.make_context(found.name, list(rest))  # parses, and refuses what the verb would

@@ -1,14 +1,11 @@
-"""Goals and bags of ROS 2, read by another library, and the examples, run on stand-ins for rclpy."""
+"""Goals and bags of ROS 2, read by another library."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from pathlib import Path
-from time import monotonic, sleep
-from types import ModuleType, SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +20,16 @@ from pinposture.motion.ros import write_bag, write_goal
 rosbags = pytest.importorskip("rosbags.typesys")
 reader = pytest.importorskip("mcap_ros2.reader")
 
-ROS = Path(__file__).parents[2] / "examples" / "ros"
+GOAL_FIELDS = (
+    "trajectory",
+    "multi_dof_trajectory",
+    "path_tolerance",
+    "component_path_tolerance",
+    "goal_tolerance",
+    "component_goal_tolerance",
+    "goal_time_tolerance",
+)
+"""Fields of the goal of control_msgs/action/FollowJointTrajectory."""
 
 
 @pytest.fixture(scope="module")
@@ -201,200 +207,6 @@ def test_a_goal_has_the_fields_of_the_action(motion: JointTrajectory, tmp_path: 
         write_goal(motion, tmp_path / "goal.csv")
     with pytest.raises(InvalidValue, match="goal_time_tolerance is -1"):
         write_goal(motion, tmp_path / "goal.json", goal_time_tolerance=-1)
-
-
-# The examples, with stand-ins for rclpy. Messages have the fields of the definitions that rosbags brings.
-
-GOAL_FIELDS = (
-    "trajectory",
-    "multi_dof_trajectory",
-    "path_tolerance",
-    "component_path_tolerance",
-    "goal_tolerance",
-    "component_goal_tolerance",
-    "goal_time_tolerance",
-)
-"""Fields of the goal of control_msgs/action/FollowJointTrajectory."""
-
-
-def message_class(kind: str) -> type:
-    """Return a class of messages that takes the fields of a definition and no others."""
-    definitions = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE).fielddefs
-    fields = [name for name, _ in definitions[kind][1]]
-
-    class Message(SimpleNamespace):
-        def __init__(self, **given: Any) -> None:
-            assert set(given) <= set(fields), f"{kind} has {fields}"
-            super().__init__(**given)
-
-        def __setattr__(self, name: str, value: Any) -> None:
-            assert name in fields, f"{kind} has {fields}"
-            super().__setattr__(name, value)
-
-    return Message
-
-
-class FollowJointTrajectory:
-    """A stand-in for the action."""
-
-    class Goal(SimpleNamespace):
-        pass
-
-    class Result:
-        SUCCESSFUL = 0
-
-
-class Future(SimpleNamespace):
-    def result(self) -> Any:
-        return self.value
-
-
-class ActionClient:
-    """A stand-in for the client, whose server answers at once."""
-
-    sent: ClassVar[list[Any]] = []
-    accepts = True
-    code = 0
-
-    def __init__(self, node: Any, action: type, name: str) -> None:
-        self.name = name
-
-    def wait_for_server(self) -> None:
-        pass
-
-    def send_goal_async(self, goal: Any) -> Future:
-        self.sent.append((self.name, goal))
-        result = SimpleNamespace(error_code=self.code, error_string="the path is too long")
-        ended = Future(value=SimpleNamespace(result=result))
-        return Future(value=SimpleNamespace(accepted=self.accepts, get_result_async=lambda: ended))
-
-
-class Node:
-    """A stand-in for a node, which keeps what it is given."""
-
-    def __init__(self, name: str) -> None:
-        self.published: list[Any] = []
-        self.said: list[str] = []
-        self.topics: dict[str, Any] = {}
-
-    def create_publisher(self, kind: type, topic: str, depth: int) -> Any:
-        return SimpleNamespace(publish=self.published.append)
-
-    def create_subscription(self, kind: type, topic: str, callback: Any, depth: int) -> None:
-        self.topics[topic] = callback
-
-    def create_timer(self, period: float, callback: Any) -> None:
-        self.cycle = callback
-
-    def get_logger(self) -> Any:
-        def keep(text: str, **_: Any) -> None:
-            self.said.append(text)
-
-        return SimpleNamespace(error=keep, warning=keep)
-
-
-def set_message_fields(message: Any, values: dict[str, Any]) -> None:
-    assert values.keys() <= set(GOAL_FIELDS)
-    vars(message).update(values)
-
-
-@pytest.fixture
-def ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stand-ins for the modules of ROS 2 that the examples import."""
-
-    def module(name: str, **content: Any) -> ModuleType:
-        made = ModuleType(name)
-        vars(made).update(content)
-        monkeypatch.setitem(sys.modules, name, made)
-        return made
-
-    names = {"sensor_msgs": ["JointState"], "std_msgs": ["Float64MultiArray", "String"]}
-    for package, kinds in names.items():
-        module(package)
-        module(f"{package}.msg", **{kind: message_class(f"{package}/msg/{kind}") for kind in kinds})
-    module("control_msgs")
-    module("control_msgs.action", FollowJointTrajectory=FollowJointTrajectory)
-    module("rosidl_runtime_py", set_message_fields=set_message_fields)
-    module(
-        "rclpy",
-        init=lambda: None,
-        create_node=Node,
-        spin=lambda node: None,
-        spin_until_future_complete=lambda node, future: None,
-    )
-    module("rclpy.action", ActionClient=ActionClient)
-    module("rclpy.node", Node=Node)
-    ActionClient.sent.clear()
-
-
-def example(name: str) -> Any:
-    spec = importlib.util.spec_from_file_location(name, ROS / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded
-
-
-@pytest.mark.usefixtures("ros")
-def test_the_sender_sends_the_goal_and_says_how_it_ended(
-    motion: JointTrajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = str(write_goal(motion, tmp_path / "goal.json"))
-    sender = example("send_motion")
-    assert sender.main(file, "/controller") == ""
-    [(name, goal)] = ActionClient.sent
-    assert name == "/controller/follow_joint_trajectory"
-    assert goal.trajectory["joint_names"] == list(motion.joint_names)
-    monkeypatch.setattr(ActionClient, "code", -4)
-    assert sender.main(file, "/controller") == "error -4: the path is too long"
-    monkeypatch.setattr(ActionClient, "accepts", False)
-    assert "refused" in sender.main(file, "/controller")
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("ros")
-def test_the_tracker_node_drives_the_arm_to_the_curve_and_to_another(tmp_path: Path) -> None:
-    arm = pp.Arm.from_template("RyRz", modules=6)
-    curves = {"bow": pp.Curve.helix(0.3, 0.0, 0.5), "line": pp.Curve.line((0, 0, 0), (1, 0, 0))}
-    for name, curve in curves.items():
-        curve.save(tmp_path / f"{name}.json")
-    node_module = example("tracker_node")
-    node = node_module.TrackerNode(arm, curves["bow"])
-    node.cycle()
-    assert not node.published  # nothing is known of where the arm is
-    assert "no measurement" in node.said[-1] or "measure" in node.said[-1]
-    names = [*reversed(arm.joint_names), "gripper"]  # by name, in any order, with others
-    joint_state = sys.modules["sensor_msgs.msg"].JointState
-    text = sys.modules["std_msgs.msg"].String
-    positions = np.zeros(arm.nv)
-
-    def run() -> None:
-        nonlocal positions
-        # the process that plans has to start
-        end = monotonic() + 60.0
-        converged = 0
-        while converged < 50 and monotonic() < end:
-            converged += node.tracker.report.status == "converged"
-            sleep(0.001 if node.tracker.report.status == "holding" else 0.0)
-            node.topics["/joint_states"](joint_state(name=names, position=[*positions[::-1], 0.01]))
-            node.cycle()
-            positions = np.array(node.published[-1].data)
-
-    for name, curve in curves.items():
-        node.topics["/curve"](text(data=str(tmp_path / f"{name}.json")))
-        node.cycle()
-        run()
-        target = pp.resolve_targets(arm, curve, placement="align")
-        np.testing.assert_allclose(arm.at(arm.configuration(positions)).points, target.points, atol=1e-6)
-    node.topics["/curve"](text(data=str(tmp_path / "missing.json")))
-    assert "no such file" in node.said[-1]
-    for _ in range(node_module.MAX_AGE + 2):  # the bus is down
-        node.cycle()
-    assert "measure" in node.said[-1]
-    held = node.published[-1].data
-    for _ in range(10):
-        node.cycle()
-    np.testing.assert_allclose(node.published[-1].data, held, atol=1e-12)
 
 
 @pytest.mark.parametrize("suffix", [".json", ".yaml", ".yml", ".YAML"])

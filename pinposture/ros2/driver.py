@@ -1,0 +1,566 @@
+"""The driver: a node that moves an arm to the targets it is given, from measured joints, in closed loop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from math import isnan
+from queue import Empty, SimpleQueue
+from threading import Event
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture._validation import require_instance, require_positive
+from pinposture.arm import Arm
+from pinposture.collision import CollisionModel, Scan, Scene
+from pinposture.collision.model import effective_scene
+from pinposture.control import Limits
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue, PostureError
+from pinposture.motion import JointTrajectory, Report, Touch, Tracker
+from pinposture.motion.latest import Done, Latest
+from pinposture.motion.ros import NANOSECONDS, stamp_of
+from pinposture.placement import Target, resolve_targets
+from pinposture.ros2.clouds import Cloud, CloudObstacles, read_points
+from pinposture.ros2.diagnostics import CycleTimes, diagnostics
+from pinposture.ros2.graph import latest_only, sensor_data
+from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
+from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Duration, Length, declared, one_of
+from pinposture.sim import set_points
+
+Array = NDArray[np.float64]
+
+COMMANDS = {
+    "trajectory": "joint_trajectory_controller/joint_trajectory",
+    "positions": "position_controller/commands",
+}
+"""Topics of the commands, by their kind."""
+
+USUAL_VELOCITY = 1.0
+USUAL_ACCELERATION = 2.0
+"""Limits of joints for which none are given, in `Arm.joint_units` per s and per s^2: slow enough to watch."""
+
+SHORT_CYCLE = 0.8
+"""Share of the nominal cycle time below which a cycle moves less. Cycles of a node vary by a millisecond."""
+
+DIAGNOSTICS_PERIOD = 1.0
+"""Time between messages of diagnostics, if nothing changes [s], as ROS tools expect."""
+
+ARRIVED = 0.01
+"""Mean distance of the control points from the start of a motion at which it begins, in arm lengths, once the
+arm rests there: soft or sticking drives stop short of it."""
+
+STANDSTILL = 2.0
+"""Time without a cycle after which a driver that shall end does not wait for one any longer [s]. Cycles stop
+with the clock of a simulation."""
+
+
+@declared()
+class DriverSettings(Declared):
+    """How a driver works.
+
+    Attributes:
+        rate: number of cycles per second [Hz].
+        command: what is sent. "trajectory": a `trajectory_msgs/msg/JointTrajectory` with one point per cycle,
+            as `joint_trajectory_controller` of ros2_control takes it. "positions": a
+            `std_msgs/msg/Float64MultiArray`, as `JointGroupPositionController` and
+            `forward_command_controller` take it, with the joints in the order of `Arm.drives`.
+        max_age: age above which measured joint positions do not count, and the arm holds [s].
+        cloud_resolution: edge length of the cubes that point clouds occupy [m].
+        touch: how to notice from measured efforts that something touches the arm; None: it is not noticed.
+
+    Raises:
+        InvalidValue: a number that is not positive.
+        UnknownName: another kind of command.
+    """
+
+    rate: Annotated[float, CheckedBy(require_positive)] = 100.0
+    command: Annotated[Literal["trajectory", "positions"], one_of("command", *COMMANDS)] = "trajectory"
+    max_age: Duration = 0.1
+    cloud_resolution: Length = 0.02
+    touch: Annotated[Touch | None, AS_GIVEN] = None
+
+
+def usual_limits(arm: Arm, dt: float) -> Limits:
+    """Return limits for an arm of which none are given, with a cycle time [s]: those of its description.
+
+    Joints without a limit of velocity get `USUAL_VELOCITY`, and all get `USUAL_ACCELERATION`.
+    """
+    described = arm.limits.velocity
+    velocity = np.where(np.isfinite(described), described, USUAL_VELOCITY * arm.joint_units)
+    return Limits(step=None, dt=dt, velocity=velocity, acceleration=USUAL_ACCELERATION * arm.joint_units)
+
+
+class SeenObstacles(NamedTuple):
+    """What clouds came to.
+
+    Attributes:
+        scene: the obstacles; None if they are as before.
+        faults: why clouds are refused, by frame; empty where they are not.
+    """
+
+    scene: Scene | None
+    faults: dict[str, str]
+
+
+class Performance:
+    """A motion that the arm performs as fast as it follows: it waits at the start, and where the arm holds.
+
+    Attributes:
+        time: time in the motion [s].
+
+    Args:
+        arm: the arm.
+        motion: the motion, sampled at the cycle time.
+    """
+
+    def __init__(self, arm: Arm, motion: JointTrajectory) -> None:
+        points = set_points(arm, motion)
+        self.time = 0.0
+        self._arm = arm
+        self._target_at = points.targets(arm)
+        self._begun = False
+
+    def advance(self, report: Report, dt: float) -> Target:
+        """Return the posture for the end of a cycle of a duration [s], after the report of the last one."""
+        near = report.mean_error is not None and report.mean_error <= ARRIVED * self._arm.length
+        if report.status in ("converged", "stalled") and near:
+            self._begun = True
+        if self._begun and report.status in ("moving", "converged"):
+            self.time += dt
+        return self._target_at(self.time)
+
+
+class Driver:
+    """A node that moves an arm to its latest target, by a `Tracker`.
+
+        with open_node("pinposture") as node:
+            driver = Driver(node, arm)
+            driver.aim(target)
+            spin(node, driver.stop, driver.done)
+
+    It subscribes to `joint_states` (JointState), `points` (PointCloud2), `~/path` (Path: a curve through its
+    points, in place, in the frame of the world or of the base), and `~/posture` (JointState: positions to
+    move to); it publishes commands on a topic of `COMMANDS`, and `/diagnostics`. Names of topics can be
+    remapped, as in all of ROS.
+
+    Parameters of the node are the settings and `velocity`, `acceleration`, `jerk` [rad, m, s], with 0 for
+    what was given at the start, and `hold`: the arm brakes and holds while it is true, and starts from where
+    it is measured when it is set to false. `max_age`, `hold` and the limits can be changed at any time.
+
+    The arm brakes and holds within its limits while measurements are missing, old, from the future or not
+    finite, and while a cloud cannot be used: its frame is unknown, no point is finite, or the joints were not
+    measured at its time. Diagnostics give the reason.
+
+    Each cloud replaces that of its frame before, and obstacles of clouds that were seen once remain until a
+    cloud of their frame without them.
+
+    Attributes:
+        arm: the arm.
+        settings: its settings, with parameters of the node in place of what was given.
+        tracker: what computes the steps.
+        times: how punctual the cycles are.
+        status: that of the last cycle, as in `Report`.
+        reason: why it is so; empty if all is well.
+
+    Args:
+        node: the node, of rclpy.
+        arm: the arm.
+        settings: how the driver works; None: `DriverSettings()`.
+        limits: the limits of the motion, of which the cycle time is that of the settings; None: those of
+            the description, and `USUAL_VELOCITY` and `USUAL_ACCELERATION` where it has none.
+        scene: obstacles that are known; None: the arm has only itself to keep clear of.
+
+    Raises:
+        PostureError: settings, parameters or limits that are refused; see also `Tracker`.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        arm: Arm,
+        settings: DriverSettings | None = None,
+        *,
+        limits: Limits | None = None,
+        scene: Scene | None = None,
+    ) -> None:
+        require_instance("arm", arm, Arm, "an Arm")
+        self.arm = arm
+        self._node = node
+        self._given = self._declare_parameters(settings or DriverSettings(), limits)
+        self._scene = effective_scene(arm, scene)
+        period = 1.0 / self.settings.rate
+        self.tracker = Tracker(
+            arm,
+            limits=self._limits({}),
+            scene=self._scene,
+            deadline=0.5 * period,
+            touch=self.settings.touch,
+        )
+        self.times = CycleTimes(period)
+        self.status = "holding"
+        self.reason = "no cycle yet"
+        self._joints = JointReadings(arm, self.settings.max_age)
+        self._performance: Performance | None = None
+        self._located = False  # it is not known yet where the arm is
+        self._stopping = False
+        self._last_cycle = time.monotonic()
+        self._posted: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._next_scene: Scene | None = None
+        self._start_clouds(node)
+        self._placing: Latest[Curve, Target] = Latest(self._place, "pinposture-path", deliver=self._deliver)
+        self._target_fault = ""
+        self._connect(node)
+
+    # Parameters.
+
+    def _declare_parameters(self, settings: DriverSettings, limits: Limits | None) -> Limits:
+        """Declare the parameters, and set the settings; return the limits that 0 stands for."""
+        from rcl_interfaces.msg import ParameterDescriptor
+        from rclpy.exceptions import ParameterException
+
+        def declare(name: str, value: Any, words: str, read_only: bool = False) -> Any:
+            described = ParameterDescriptor(description=words, read_only=read_only)
+            try:
+                return self._node.declare_parameter(name, value, described).value
+            except ParameterException as error:  # another type, such as 50 for 50.0
+                raise PostureError(str(error)) from error
+
+        self.settings = DriverSettings(
+            rate=declare("rate", settings.rate, "cycles per second", True),
+            command=declare("command", settings.command, "trajectory or positions", True),
+            max_age=declare("max_age", settings.max_age, "age above which joint states do not count [s]"),
+            cloud_resolution=declare(
+                "cloud_resolution", settings.cloud_resolution, "edge length of occupied cubes [m]", True
+            ),
+            touch=settings.touch,
+        )
+        self._bounds = {
+            name: declare(name, 0.0, f"limit of all joints [{unit}]; 0: as given at the start")
+            for name, unit in (("velocity", "1/s"), ("acceleration", "1/s^2"), ("jerk", "1/s^3"))
+        }
+        self._hold = declare("hold", False, "whether the arm brakes and holds")
+        dt = 1.0 / self.settings.rate
+        return usual_limits(self.arm, dt) if limits is None else replace(limits, dt=dt)
+
+    def _limits(self, changes: dict[str, float]) -> Limits:
+        """Return the limits with parameters, of which some are changed."""
+        bounds = {name: value for name, value in (self._bounds | changes).items() if value != 0.0}
+        return replace(self._given, **bounds)
+
+    def _change_parameters(self, parameters: list[Any]) -> Any:
+        """Let changed parameters take effect; those that are refused leave all as they were."""
+        from rcl_interfaces.msg import SetParametersResult
+
+        changed = {each.name: each.value for each in parameters}
+        bounds = {name: value for name, value in changed.items() if name in self._bounds}
+        try:
+            settings = replace(self.settings, max_age=changed.get("max_age", self.settings.max_age))
+            if bounds:
+                self.tracker.limits = self._limits(bounds)
+        except PostureError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._bounds |= bounds
+        self.settings = settings
+        self._joints.max_age = settings.max_age
+        hold = changed.get("hold", self._hold)
+        if self._hold and not hold:
+            self._posted.put(self._restart)
+        self._hold = hold
+        return SetParametersResult(successful=True)
+
+    # What comes and goes.
+
+    def _connect(self, node: Any) -> None:
+        """Create publishers, subscriptions and timers."""
+        from diagnostic_msgs.msg import DiagnosticArray
+        from nav_msgs.msg import Path
+        from sensor_msgs.msg import JointState, PointCloud2
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
+
+        kind = JointTrajectoryMessage if self.settings.command == "trajectory" else Float64MultiArray
+        reliable = latest_only(True)
+        self._commands = node.create_publisher(kind, COMMANDS[self.settings.command], reliable)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._states = node.create_subscription(JointState, "joint_states", self._take_joints, sensor_data())
+        node.create_subscription(PointCloud2, "points", self._take_cloud, latest_only(False))
+        node.create_subscription(Path, "~/path", self._take_path, reliable)
+        node.create_subscription(JointState, "~/posture", self._take_posture, reliable)
+        node.add_on_set_parameters_callback(self._change_parameters)
+        node.create_timer(1.0 / self.settings.rate, self._cycle)
+        node.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
+
+    def _now(self) -> int:
+        """Return the time of the node [ns], which may be that of a simulation."""
+        now: int = self._node.get_clock().now().nanoseconds
+        return now
+
+    def _take_joints(self, message: Any) -> None:
+        self._joints.take(message, self._now())
+
+    def _take_waiting_joints(self) -> None:
+        """Take joint states that wait: executors run timers first, and a late cycle needs what came last."""
+        states = self._states
+        with states.handle:
+            while found := states.handle.take_message(states.msg_type, states.raw):
+                self._take_joints(found[0])
+
+    def _take_path(self, message: Any) -> None:
+        """Have a curve through points placed, in another thread."""
+        frame = message.header.frame_id
+        try:
+            self._cloud_obstacles.require_frame(frame)
+            if not self._cloud_obstacles.is_fixed(frame):
+                raise InvalidValue("frame_id", frame, "the frame of the world or of the base")
+            poses = [each.pose.position for each in message.poses]
+            points = np.array([(each.x, each.y, each.z) for each in poses]).reshape(-1, 3)
+            curve = Curve.points(self._cloud_obstacles.to_world(points, frame, self.arm.neutral()))
+        except PostureError as error:
+            self._refuse_target(error)
+            return
+        self._placing.ask(curve)
+
+    def _place(self, curve: Curve, outdated: Event) -> Target:
+        return resolve_targets(self.arm, curve, placement="as_is")
+
+    def _deliver(self, done: Done[Curve, Target]) -> None:
+        """Pass a placed target on to the cycle."""
+        answer = done.answer
+        if answer is None:
+            error = done.error
+            self._posted.put(lambda: self._refuse_target(error))
+        else:
+            self._posted.put(lambda: self.aim(answer))
+
+    def _take_posture(self, message: Any) -> None:
+        try:
+            positions = dict(zip(message.name, message.position, strict=True))
+            q = self.arm.configuration(self.arm.drives.joint_positions(positions))
+            self.aim(Target.from_configuration(self.arm, q))
+        except (PostureError, ValueError) as error:
+            self._refuse_target(error)
+
+    def _refuse_target(self, error: BaseException | None) -> None:
+        """Keep the target, and say why another one is refused."""
+        self._target_fault = f"a target is refused: {error}"
+        self._node.get_logger().error(self._target_fault)
+
+    def aim(self, target: Target) -> None:
+        """Set the target; that of a motion ends.
+
+        Raises:
+            InvalidValue: it does not fit the arm; the former one stays.
+        """
+        self.tracker.update(target)
+        self._performance = None
+        self._target_fault = ""
+
+    def perform(self, motion: JointTrajectory) -> None:
+        """Move to the start of a motion, rest there, and perform it; it waits while the arm holds.
+
+        Raises:
+            InvalidValue: it does not fit the arm.
+        """
+        dt = 1.0 / self.settings.rate
+        self._performance = Performance(self.arm, motion.matched(self.arm).sampled(dt))
+        self._target_fault = ""
+
+    # Clouds.
+
+    def _start_clouds(self, node: Any) -> None:
+        """Prepare for clouds: one waits until the joints are measured at its time, and a thread reads it."""
+        self._cloud_obstacles = CloudObstacles(self.arm, self._scene, self.settings.cloud_resolution)
+        self._cloud_faults: dict[str, str] = {}
+        self._waiting: dict[str, Any] = {}
+        self._known: dict[str, Scan | None] = {}  # of the thread
+        self._reading: Latest[dict[str, Cloud], SeenObstacles] = Latest(
+            self._read_clouds, "pinposture-clouds", deliver=self._take_surroundings, merge=lambda a, b: a | b
+        )
+
+    def _take_cloud(self, message: Any) -> None:
+        self._waiting[message.header.frame_id] = message
+
+    def _pass_clouds_on(self, now: int) -> None:
+        """Pass on clouds at whose time the joints are measured; refuse those that waited in vain."""
+        ready: dict[str, Cloud] = {}
+        for frame, message in list(self._waiting.items()):
+            stamp = stamp_of(message)
+            late = (now - stamp) / NANOSECONDS > self.settings.max_age
+            if not (late or self._joints.covers(stamp) or frame not in self._cloud_obstacles.frames):
+                continue
+            del self._waiting[frame]
+            try:
+                self._cloud_obstacles.require_frame(frame)
+                q = self._joints.configuration_at(stamp)
+                if q is None:
+                    age = f"{(now - stamp) / NANOSECONDS:.3g} s ago"
+                    raise InvalidValue("its time stamp", age, "a time at which the joints were measured")
+                ready[frame] = Cloud(read_points(message), frame, q)
+            except PostureError as error:
+                self._cloud_faults[frame] = str(error)
+        if ready:
+            self._reading.ask(ready)
+
+    def _read_clouds(self, clouds: dict[str, Cloud], outdated: Event) -> SeenObstacles:
+        """Return the surroundings with clouds; runs in the thread of clouds."""
+        faults = dict.fromkeys(clouds, "")
+        known = dict(self._known)
+        for frame, cloud in clouds.items():
+            try:
+                known[frame] = self._cloud_obstacles.obstacle(cloud)
+            except PostureError as error:
+                faults[frame] = str(error)
+        if known == self._known:
+            return SeenObstacles(None, faults)
+        self._known = known
+        seen = {f"cloud in {frame}": scan for frame, scan in known.items() if scan is not None}
+        scene = self._scene.with_obstacles({**self._scene.obstacles, **seen})
+        CollisionModel.prepare(self.arm, scene)
+        return SeenObstacles(scene, faults)
+
+    def _take_surroundings(self, done: Done[dict[str, Cloud], SeenObstacles]) -> None:
+        """Pass surroundings on to the cycle; called in the thread of clouds."""
+        found = done.answer or SeenObstacles(None, dict.fromkeys(done.request, f"it failed: {done.error}"))
+
+        def take() -> None:
+            self._cloud_faults = {
+                frame: fault for frame, fault in {**self._cloud_faults, **found.faults}.items() if fault
+            }
+            self._next_scene = found.scene or self._next_scene
+
+        self._posted.put(take)
+
+    # Cycles.
+
+    def _cycle(self) -> None:
+        """Take a step, and send the positions that it leads to."""
+        self._last_cycle = time.monotonic()
+        self._take_waiting_joints()
+        now = self._now()
+        passed = self.times.begin(now)
+        if passed <= 0.0:
+            self._joints.forget()
+            self.times.latencies.clear()
+            passed = 1.0 / self.settings.rate
+        self._pass_clouds_on(now)
+        self._run_posted()
+        measured = self._joints.measurement(now)
+        held = self._reason_to_hold(measured)
+        self._step(None if held else measured, passed)
+        report = self.tracker.report
+        before = self.status
+        self.status = report.status
+        self.reason = held or report.reason
+        self._located = self._located or report.tracking_error is not None
+        if self._located:
+            self._commands.publish(self._command())
+            if not isnan(measured.age):
+                self.times.sent(now - round(measured.age * NANOSECONDS), self._now())
+        if self.status != before:
+            self._diagnose()
+
+    def _run_posted(self) -> None:
+        while True:
+            try:
+                self._posted.get_nowait()()
+            except Empty:
+                return
+            except PostureError as error:  # a target that does not fit
+                self._refuse_target(error)
+
+    def _reason_to_hold(self, measured: JointMeasurement) -> str:
+        """Return why the arm is to brake and hold, whatever the tracker says; empty if it is not."""
+        if self._stopping:
+            return "the driver ends"
+        if measured.reason:
+            return measured.reason
+        for frame, fault in self._cloud_faults.items():
+            return f"a cloud in frame {frame!r} is refused: {fault}"
+        return "the parameter hold is true" if self._hold else ""
+
+    def _step(self, measured: JointMeasurement | None, passed: float) -> None:
+        """Let the tracker take a step after a time [s]; without a measurement, it brakes and holds."""
+        tracker = self.tracker
+        period = 1.0 / self.settings.rate
+        scene = self._next_scene
+        self._next_scene = None
+        if self._performance is not None:
+            tracker.update(self._performance.advance(tracker.report, period))
+        tracker.step(
+            None if measured is None else measured.positions,
+            passed if passed < SHORT_CYCLE * period else None,
+            scene=scene,
+            torques=None if measured is None else measured.torques,
+        )
+
+    def _command(self) -> Any:
+        """Return the message that sends the positions of the tracker."""
+        from builtin_interfaces.msg import Duration as DurationMessage
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
+        from trajectory_msgs.msg import JointTrajectoryPoint
+
+        positions = self.tracker.positions.tolist()
+        if self.settings.command == "positions":
+            return Float64MultiArray(data=positions)
+        period = round(NANOSECONDS / self.settings.rate)
+        point = JointTrajectoryPoint(positions=positions)
+        point.time_from_start = DurationMessage(sec=period // NANOSECONDS, nanosec=period % NANOSECONDS)
+        return JointTrajectoryMessage(joint_names=list(self.arm.drives.names), points=[point])
+
+    def _restart(self) -> None:
+        """Start from the measured arm, if it is measured."""
+        measured = self._joints.measurement(self._now())
+        if measured.positions is not None:
+            self.tracker.restart(measured.positions)
+
+    # The end.
+
+    def stop(self) -> None:
+        """Let the arm brake and hold; `done` tells when it does."""
+        self._stopping = True
+
+    def done(self) -> bool:
+        """Return whether the driver was stopped, and the arm holds or cycles have ceased."""
+        ceased = time.monotonic() - self._last_cycle > STANDSTILL
+        return self._stopping and (self.tracker.at_rest or ceased)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._reading.close()
+        self._placing.close()
+
+    # Diagnostics.
+
+    def _diagnose(self) -> None:
+        """Publish what the driver does, and why."""
+        measured = self._joints.measurement(self._now())
+        level = 0 if self.status in ("moving", "converged") and not self._target_fault else 1
+        if measured.reason or self._cloud_faults:
+            level = 2
+        report = self.tracker.report
+        values: dict[str, Any] = {
+            "status": self.status,
+            "reason": self.reason,
+            "age of the joint states": measured.age,
+            "refused joint states": self._joints.refused,
+            "mean error": report.mean_error,
+            "tracking error": report.tracking_error,
+            "violated": "; ".join(report.violated_constraints),
+            "target": self._target_fault or ("given" if self.tracker.target is not None else "none"),
+            "obstacles": ", ".join((self.tracker.scene or self._scene).obstacles) or "none",
+            "cycles": self.times.cycles,
+            "missed cycles": self.times.missed,
+            "overruns": self.tracker.overruns,
+            **self.times.recent_latencies(),
+        }
+        words = f"{self.status}: {self.reason}" if self.reason else self.status
+        message = diagnostics(self._node.get_fully_qualified_name(), self.arm.name, level, words, values)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+        if self.reason:
+            self._node.get_logger().warning(words, throttle_duration_sec=DIAGNOSTICS_PERIOD)

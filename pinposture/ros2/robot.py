@@ -1,0 +1,294 @@
+"""A simulated robot as a node: soft servos, encoders, a depth camera, late messages, joints that fail."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import require_instance, require_positive
+from pinposture.arm import Arm
+from pinposture.collision import Scene
+from pinposture.errors import PostureError
+from pinposture.motion.ros import NANOSECONDS, stamp_of
+from pinposture.ros2.clouds import write_points
+from pinposture.ros2.driver import COMMANDS
+from pinposture.ros2.graph import latest_only
+from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Flag, declared
+from pinposture.sim.camera import DepthCamera, TipCamera
+from pinposture.sim.model import Servos, build_plant_model
+from pinposture.sim.plant import Plant, Sensing, Sensors
+
+Array = NDArray[np.float64]
+
+MOST_CATCHING_UP = 5
+"""Largest number of cycles that the robot makes at once to keep up with the clock; time is lost beyond it."""
+
+
+@declared()
+class RobotSettings(Declared):
+    """How a simulated robot works.
+
+    Attributes:
+        rate: number of control cycles, and of messages of JointState, per second [Hz].
+        servos: its servos.
+        sensing: its joint sensors; `latency` counts cycles, and stamps tell when a message was measured.
+        camera: the depth camera at the tip; None: there is none.
+        camera_rate: number of clouds per second [Hz].
+        clock: whether the time of the simulation is published on `/clock`, for nodes with `use_sim_time`.
+
+    Raises:
+        InvalidValue: a rate that is not positive.
+    """
+
+    rate: Annotated[float, CheckedBy(require_positive)] = 100.0
+    servos: Annotated[Servos, AS_GIVEN] = Servos()
+    sensing: Annotated[Sensing, AS_GIVEN] = Sensing()
+    camera: Annotated[DepthCamera | None, AS_GIVEN] = None
+    camera_rate: Annotated[float, CheckedBy(require_positive)] = 5.0
+    clock: Flag = False
+
+
+class CommandedMotion:
+    """The set points of joints between the points of a trajectory, as joint_trajectory_controller has them.
+
+    Between points they move at constant speed.
+
+    Attributes:
+        names: names of the joints, in the order of positions.
+
+    Args:
+        names: names of the joints.
+        positions: where they are, (nv,) [rad or m].
+    """
+
+    def __init__(self, names: tuple[str, ...], positions: Array) -> None:
+        self.names = names
+        self._times = np.zeros(1)
+        self._rows = positions[None]
+
+    def at(self, time: float) -> Array:
+        """Return the set points at a time [s], (nv,) [rad or m]."""
+        return np.array([np.interp(time, self._times, column) for column in self._rows.T])
+
+    def move_to(self, positions: ArrayLike, time: float) -> None:
+        """Move to positions, (nv,) [rad or m], at once, at a time [s]."""
+        self._times = np.array([time])
+        self._rows = np.array(positions, dtype=np.float64)[None]
+
+    def follow(self, message: Any, begin: float, now: float) -> str:
+        """Follow a trajectory, from where the joints are to be now.
+
+        Args:
+            message: a `trajectory_msgs/msg/JointTrajectory`.
+            begin: time from which its points count [s].
+            now: the time [s].
+
+        Returns:
+            Why it is refused; empty if it is not.
+        """
+        given = list(message.joint_names)
+        if sorted(given) != sorted(self.names):
+            return f"joint_names are {given}; allowed: {list(self.names)}, in any order"
+        points = message.points
+        if not points or any(len(each.positions) != len(given) for each in points):
+            return "allowed: at least one point, each with a position for each joint"
+        order = [given.index(name) for name in self.names]
+        rows = np.array([np.array(each.positions)[order] for each in points])
+        delays = [each.time_from_start for each in points]
+        times = begin + np.array([each.sec + each.nanosec / NANOSECONDS for each in delays])
+        if not np.all(np.isfinite(rows)) or np.any(np.diff([now, *times]) <= 0.0):
+            return "allowed: finite positions, at increasing times from now on"
+        self._rows = np.vstack([self.at(now), rows])
+        self._times = np.array([now, *times])
+        return ""
+
+
+class SimulatedRobot:
+    """A node that behaves as a robot with ros2_control, simulated by MuJoCo in real time.
+
+        with open_node("robot") as node:
+            robot = SimulatedRobot(node, arm, scene, RobotSettings(servos=Servos(frequency=4.0)))
+            spin(node, robot.stop, robot.done)
+
+    It publishes `joint_states` (JointState, with efforts if `Sensing` measures torques) and with a camera
+    `points` (PointCloud2, in the frame of the tip link), and takes commands of both kinds, on the topics of
+    `COMMANDS`.
+
+    Parameters of the node, which can be changed at any time: `stuck` and `limp`, names of joints that fail,
+    separated by commas; `latency`, by which messages of JointState come late [s]; `silent`, whether they do
+    not come at all.
+
+    Attributes:
+        arm: the arm.
+        plant: the simulation.
+        refused: why the last command was refused; empty if it was not.
+
+    Args:
+        node: the node, of rclpy.
+        arm: the arm, from a URDF or from modules.
+        scene: what the camera sees; None: nothing.
+        settings: how the robot works; None: `RobotSettings()`.
+        q0: where it starts, (nq,), at rest; None: straight.
+
+    Raises:
+        MujocoMissing: MuJoCo is not installed.
+        PostureError: the arm cannot be simulated, as `build_plant_model` says, or q0 is invalid.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        arm: Arm,
+        scene: Scene | None = None,
+        settings: RobotSettings | None = None,
+        q0: ArrayLike | None = None,
+    ) -> None:
+        require_instance("arm", arm, Arm, "an Arm")
+        self.arm = arm
+        self.refused = ""
+        self._settings = settings or RobotSettings()
+        self._node = node
+        dt = 1.0 / self._settings.rate
+        start = arm.straight() if q0 is None else arm.checked_start(q0, "q0")
+        positions = arm.drives.positions(arm.positions(start))
+        self.plant = Plant(build_plant_model(arm, self._settings.servos), positions, dt)
+        self._motion = CommandedMotion(arm.drives.names, positions)
+        self._sensors = Sensors(replace(self._settings.sensing, latency=0))
+        self._latency = self._settings.sensing.latency * dt
+        self._silent = False
+        self._late: deque[tuple[float, Any]] = deque()
+        self._camera = None
+        if self._settings.camera is not None:
+            self._camera = TipCamera(arm, scene or Scene(), self._settings.camera)
+        self._clouds = 0
+        self._stopped = False
+        self._connect(node)
+        self._begun = self._steady.now().nanoseconds
+        self._epoch = NANOSECONDS if self._settings.clock else int(node.get_clock().now().nanoseconds)
+
+    def _connect(self, node: Any) -> None:
+        """Declare parameters; create publishers, subscriptions and the timer."""
+        from rclpy.clock import Clock, ClockType
+        from rosgraph_msgs.msg import Clock as ClockMessage
+        from sensor_msgs.msg import JointState, PointCloud2
+        from std_msgs.msg import Float64MultiArray
+        from trajectory_msgs.msg import JointTrajectory
+
+        for name, value in {"stuck": "", "limp": "", "latency": self._latency, "silent": False}.items():
+            node.declare_parameter(name, value)
+        node.add_on_set_parameters_callback(self._change_parameters)
+        reliable = latest_only(True)
+        self._states = node.create_publisher(JointState, "joint_states", reliable)
+        self._points = node.create_publisher(PointCloud2, "points", reliable)
+        self._ticks = (
+            node.create_publisher(ClockMessage, "/clock", reliable) if self._settings.clock else None
+        )
+        node.create_subscription(JointTrajectory, COMMANDS["trajectory"], self._take_trajectory, reliable)
+        node.create_subscription(Float64MultiArray, COMMANDS["positions"], self._take_positions, reliable)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(self.plant.dt, self._advance, clock=steady)
+        self._steady = steady
+
+    def _change_parameters(self, parameters: list[Any]) -> Any:
+        from rcl_interfaces.msg import SetParametersResult
+
+        changed = {each.name: each.value for each in parameters}
+        names = {
+            key: [name.strip() for name in changed.get(key, self._node.get_parameter(key).value).split(",")]
+            for key in ("stuck", "limp")
+        }
+        try:
+            self.plant.fail(*([name for name in names[key] if name] for key in ("stuck", "limp")))
+        except PostureError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._latency = changed.get("latency", self._latency)
+        self._silent = changed.get("silent", self._silent)
+        return SetParametersResult(successful=True)
+
+    @property
+    def time(self) -> float:
+        """Time of the simulation [s]."""
+        return self.plant.cycles * self.plant.dt
+
+    def _take_trajectory(self, message: Any) -> None:
+        stamp = stamp_of(message)
+        begin = (stamp - self._epoch) / NANOSECONDS if stamp else self.time
+        self.refused = self._motion.follow(message, begin, self.time)
+        if self.refused:
+            self._node.get_logger().error(f"a trajectory is refused: {self.refused}")
+
+    def _take_positions(self, message: Any) -> None:
+        positions = np.array(message.data, dtype=np.float64)
+        self.refused = ""
+        if positions.shape != (self.arm.nv,) or not np.all(np.isfinite(positions)):
+            self.refused = f"positions are {positions.tolist()}; allowed: {self.arm.nv} finite numbers"
+            self._node.get_logger().error(self.refused)
+            return
+        self._motion.move_to(positions, self.time)
+
+    def _advance(self) -> None:
+        """Simulate the cycles that are due, and publish what is measured."""
+        passed = (self._steady.now().nanoseconds - self._begun) / NANOSECONDS
+        due = int(passed * self._settings.rate) - self.plant.cycles
+        if due > MOST_CATCHING_UP:
+            lost = round((due - 1) * self.plant.dt * NANOSECONDS)
+            self._begun += lost
+            self._epoch += 0 if self._settings.clock else lost
+            due = 1
+        for _ in range(due):
+            if not self.plant.advance(self._motion.at(self.time + self.plant.dt)):
+                self._node.get_logger().error(self.plant.failure)
+                self._stopped = True
+                return
+            self._measure()
+            self._look()
+        self._deliver()
+
+    @property
+    def _stamp(self) -> Any:
+        """The time of the simulation as a `builtin_interfaces/msg/Time`."""
+        from builtin_interfaces.msg import Time as TimeMessage
+
+        seconds, nanoseconds = divmod(self._epoch + round(self.time * NANOSECONDS), NANOSECONDS)
+        return TimeMessage(sec=seconds, nanosec=nanoseconds)
+
+    def _measure(self) -> None:
+        """Read the sensors of the joints, if they deliver in this cycle."""
+        from rosgraph_msgs.msg import Clock as ClockMessage
+        from sensor_msgs.msg import JointState
+
+        if self._ticks is not None:
+            self._ticks.publish(ClockMessage(clock=self._stamp))
+        measured = self._sensors.measure(self.plant.positions, self.plant.torques)
+        if measured is None or self._silent:
+            return
+        message = JointState(name=list(self.arm.drives.names), position=measured.tolist())
+        message.header.stamp = self._stamp
+        if self._sensors.torques is not None:
+            message.effort = self._sensors.torques.tolist()
+        self._late.append((self.time + self._latency, message))
+
+    def _deliver(self) -> None:
+        """Publish the messages whose time has come."""
+        while self._late and self._late[0][0] <= self.time:
+            self._states.publish(self._late.popleft()[1])
+
+    def _look(self) -> None:
+        """Publish a cloud, if it is time."""
+        if self._camera is None or self.time * self._settings.camera_rate < self._clouds:
+            return
+        self._clouds = int(self.time * self._settings.camera_rate) + 1
+        q = self.arm.configuration(self.arm.drives.joint_positions(self.plant.positions))
+        self._points.publish(write_points(self._camera.look(q), self.arm.tip, self._stamp))
+
+    def stop(self) -> None:
+        """End; the servos hold nothing any more, as nothing is simulated."""
+        self._stopped = True
+
+    def done(self) -> bool:
+        """Return whether the robot was stopped, or the simulation failed."""
+        return self._stopped

@@ -1,0 +1,335 @@
+"""The driver on a graph of ROS 2, with a robot that does what it is told, unless it is told wrong things."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinposture as pp
+from pinposture.ros2 import Driver, DriverSettings
+from pinposture.ros2.clouds import write_points
+
+pytestmark = pytest.mark.long
+
+DT = 0.02
+ACCELERATION = 8.0
+VELOCITY = 2.0
+
+
+class Robot:
+    """Publishes joint states, in a way that a test may change, and follows commands exactly."""
+
+    def __init__(self, graph: Any, arm: pp.Arm) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+        from sensor_msgs.msg import JointState
+        from trajectory_msgs.msg import JointTrajectory
+
+        self.arm = arm
+        self.graph = graph
+        self.node = graph.node("robot")
+        self.positions = dict.fromkeys(arm.drives.names, 0.0)
+        self.commands: list[np.ndarray] = []
+        self.diagnostics: list[Any] = []
+        self.alter: Callable[[Any], list[Any]] = lambda message: [message]
+        best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.publisher = self.node.create_publisher(JointState, "/joint_states", best_effort)
+        topic = "/joint_trajectory_controller/joint_trajectory"
+        self.node.create_subscription(JointTrajectory, topic, self._trajectory, 10)
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda each: self.diagnostics.append(each.status[0]), 10
+        )
+        self.node.create_timer(DT, self._tell)
+
+    def _trajectory(self, message: Any) -> None:
+        [point] = message.points
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)  # it starts at once
+        assert (point.time_from_start.sec, point.time_from_start.nanosec) == (0, 20_000_000)
+        self.positions = dict(zip(message.joint_names, point.positions, strict=True))
+        self.commands.append(np.array([self.positions[name] for name in self.arm.drives.names]))
+
+    def _tell(self) -> None:
+        for message in self.alter(self.joint_state()):
+            self.publisher.publish(message)
+
+    def joint_state(self) -> Any:
+        from sensor_msgs.msg import JointState
+
+        names = [*reversed(self.positions), "gripper"]
+        message = JointState(name=names, position=[*reversed(self.positions.values()), 0.01])
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        return message
+
+    @property
+    def points(self) -> np.ndarray:
+        positions = self.arm.drives.joint_positions(self.positions)
+        return self.arm.at(self.arm.configuration(positions)).points
+
+    def at(self, target: pp.Target, within: float = 1e-3) -> bool:
+        return bool(np.linalg.norm(self.points - target.points, axis=1).max() < within)
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    return pp.Arm.from_template("RyRz", modules=6)
+
+
+@pytest.fixture(scope="module")
+def pair(graph: Any, arm: pp.Arm) -> Iterator[tuple[Driver, Robot]]:
+    limits = pp.Limits(dt=1.0, velocity=VELOCITY, acceleration=ACCELERATION)  # the rate tells the cycle
+    driver = Driver(graph.node("driver"), arm, DriverSettings(rate=1.0 / DT), limits=limits)
+    robot = Robot(graph, arm)
+    yield driver, robot
+    driver.close()
+    robot.alter = lambda message: []
+
+
+@pytest.fixture
+def driver(pair: tuple[Driver, Robot]) -> Driver:
+    return pair[0]
+
+
+@pytest.fixture
+def robot(pair: tuple[Driver, Robot]) -> Iterator[Robot]:
+    robot = pair[1]
+    robot.diagnostics.clear()
+    yield robot
+    robot.alter = lambda message: [message]
+
+
+def posture(arm: pp.Arm, bend: float) -> pp.Target:
+    return pp.Target.from_configuration(arm, np.full(arm.nq, bend))
+
+
+def set_moving(graph: Any, driver: Driver, robot: Robot) -> pp.Target:
+    """Have the arm move fast; return its target."""
+    bend = -0.4 if robot.points[-1, 1] > 0.0 else 0.4
+    target = posture(driver.arm, bend)
+    driver.aim(target)
+
+    def moves() -> bool:
+        steps = np.abs(np.diff(robot.commands[-2:], axis=0))
+        return len(robot.commands) > 1 and steps.max() > 0.5 * VELOCITY * DT
+
+    assert graph.run(moves), (driver.status, driver.reason)
+    return target
+
+
+def test_the_arm_takes_the_shape_of_a_path_and_says_so(graph: Any, driver: Driver, robot: Robot) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Path
+
+    curve = pp.Curve.helix(0.25, 0.0, 0.25)
+    placed = pp.resolve_targets(driver.arm, curve, placement="align")
+    through = np.vstack([np.zeros(3), placed.points, 2 * placed.points[-1] - placed.points[-2]])
+    message = Path()
+    message.header.frame_id = "world"
+    for x, y, z in through:
+        pose = PoseStamped()
+        pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = map(float, (x, y, z))
+        message.poses.append(pose)
+    publisher = robot.node.create_publisher(Path, f"{driver._node.get_name()}/path", 1)
+    assert graph.run(lambda: publisher.get_subscription_count() > 0)
+    publisher.publish(message)
+    expected = pp.resolve_targets(driver.arm, pp.Curve.points(through), placement="as_is")
+    assert graph.run(lambda: robot.at(expected, 1e-5)), driver.reason
+    assert graph.run(lambda: driver.status == "converged")
+    assert graph.run(lambda: robot.diagnostics and robot.diagnostics[-1].message == "converged")
+    assert robot.diagnostics[-1].level == b"\x00"
+    assert robot.diagnostics[-1].hardware_id == driver.arm.name
+    robot.diagnostics.clear()
+    message.header.frame_id = "tip"
+    publisher.publish(message)
+    assert graph.run(lambda: "frame_id is 'tip'" in driver._target_fault)
+    assert graph.run(lambda: robot.diagnostics and robot.diagnostics[-1].level == b"\x01")
+    robot.node.destroy_publisher(publisher)
+
+
+def renamed(message: Any, before: str, after: str) -> Any:
+    message.name = [after if each == before else each for each in message.name]
+    return message
+
+
+def shifted(message: Any, seconds: int) -> Any:
+    message.header.stamp.sec += seconds
+    return message
+
+
+def with_nan(message: Any) -> Any:
+    message.position[0] = np.nan
+    return message
+
+
+FAULTS = {
+    "silence": (lambda message: [], "was measured .* ago; at most max_age, 0.1 s, is used"),
+    "a wrong name": (lambda message: [renamed(message, "m03_j1_y", "m3_j1")], "'m03_j1_y' was measured"),
+    "not a number": (
+        lambda message: [with_nan(message)],
+        "the position of joint 'm06_j2_z' is measured as nan",
+    ),
+    "stamps of the future": (lambda message: [shifted(message, 5)], "5 s in the future: do the clocks agree"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_arm_brakes_and_holds_while_joint_states_are_wrong(
+    graph: Any, driver: Driver, robot: Robot, name: str
+) -> None:
+    alter, reason = FAULTS[name]
+    target = set_moving(graph, driver, robot)
+    speed = np.abs(np.diff(robot.commands[-2:], axis=0)).max() / DT
+    robot.alter = alter
+    assert graph.run(lambda: re.search(reason, driver.reason)), driver.reason
+    assert driver.status == "holding"
+    begin = len(robot.commands)
+    assert graph.run(lambda: driver.tracker.at_rest)
+    braking = (len(robot.commands) - begin) * DT
+    assert braking >= 0.5 * speed / ACCELERATION - DT  # it does not stop dead
+    held = robot.commands[-1]
+    graph.run_for(0.3)
+    np.testing.assert_array_equal(robot.commands[-1], held)
+    assert not robot.at(target)
+    assert graph.run(lambda: robot.diagnostics and re.search(reason, robot.diagnostics[-1].message))
+    assert robot.diagnostics[-1].level == b"\x02"
+    robot.alter = lambda message: [message]
+    assert graph.run(lambda: robot.at(target)), driver.reason
+    steps = np.abs(np.diff(robot.commands, axis=0)) / DT
+    assert steps.max() <= 2.0 * VELOCITY  # a lost message makes two steps look like one
+
+
+def test_joints_may_come_in_two_messages(graph: Any, driver: Driver, robot: Robot) -> None:
+    def halves(message: Any) -> list[Any]:
+        first, second = robot.joint_state(), robot.joint_state()
+        first.name, first.position = first.name[:5], first.position[:5]
+        second.name, second.position = second.name[5:], second.position[5:]
+        return [first, second]
+
+    robot.alter = halves
+    target = set_moving(graph, driver, robot)
+    assert graph.run(lambda: robot.at(target)), driver.reason
+
+
+def test_a_posture_is_a_target_and_one_of_other_joints_is_refused(
+    graph: Any, driver: Driver, robot: Robot
+) -> None:
+    from sensor_msgs.msg import JointState
+
+    publisher = robot.node.create_publisher(JointState, f"{driver._node.get_name()}/posture", 1)
+    assert graph.run(lambda: publisher.get_subscription_count() > 0)
+    names = list(driver.arm.drives.names)
+    publisher.publish(JointState(name=names[::-1], position=[0.2] * len(names)))
+
+    def reached() -> bool:
+        return driver.status == "converged" and robot.at(posture(driver.arm, 0.2))
+
+    assert graph.run(reached), driver.reason
+    for wrong in (
+        JointState(name=names[1:], position=[0.1] * (len(names) - 1)),
+        JointState(name=names, position=[0.1]),
+        JointState(name=names, position=[np.nan] * len(names)),
+        JointState(name=names, position=[50.0] * len(names)),
+    ):
+        driver._target_fault = ""
+        publisher.publish(wrong)
+        assert graph.run(lambda: driver._target_fault.startswith("a target is refused"))
+    graph.run_for(0.1)
+    assert robot.at(posture(driver.arm, 0.2))
+    robot.node.destroy_publisher(publisher)
+
+
+def test_parameters_change_limits_and_hold_the_arm(graph: Any, driver: Driver, robot: Robot) -> None:
+    from rclpy.parameter import Parameter
+
+    def set_to(name: str, value: Any) -> Any:
+        return driver._node.set_parameters([Parameter(name, value=value)])[0]
+
+    target = set_moving(graph, driver, robot)
+    assert set_to("velocity", 0.2).successful
+    graph.run_for(0.5)
+    begin = len(robot.commands)
+    graph.run_for(0.5)
+    steps = np.abs(np.diff(robot.commands[begin:], axis=0)).max(axis=1) / DT
+    assert 0.1 < np.median(steps) <= 0.2 + 1e-6
+    refused = set_to("velocity", -1.0)
+    assert not refused.successful and "velocity" in refused.reason
+    assert not set_to("max_age", 0.0).successful
+    assert not set_to("rate", 50.0).successful  # fixed from the start
+    assert set_to("hold", True).successful
+    assert graph.run(lambda: driver.tracker.at_rest)
+    assert graph.run(lambda: driver.reason == "the parameter hold is true")
+    assert not robot.at(target)
+    assert set_to("velocity", 0.0).successful and set_to("hold", False).successful
+    assert graph.run(lambda: robot.at(target)), driver.reason
+
+
+def test_the_end_is_a_brake_and_a_hold(graph: Any, driver: Driver, robot: Robot) -> None:
+    target = set_moving(graph, driver, robot)
+    driver.stop()
+    assert not driver.done()
+    begin = len(robot.commands)
+    assert graph.run(driver.done)
+    assert len(robot.commands) - begin > 5
+    assert driver.reason == "the driver ends"
+    assert not robot.at(target)
+    driver._stopping = False
+    assert graph.run(lambda: robot.at(target))
+
+
+def test_a_cloud_of_an_unknown_frame_holds_the_arm_and_one_of_a_link_becomes_an_obstacle(
+    graph: Any, driver: Driver, robot: Robot
+) -> None:
+    from sensor_msgs.msg import PointCloud2
+
+    arm = driver.arm
+    publisher = robot.node.create_publisher(PointCloud2, "/points", 1)
+    assert graph.run(lambda: publisher.get_subscription_count() > 0)
+    target = set_moving(graph, driver, robot)
+    box = np.array([0.12, 0.12, 0.12]) + np.random.default_rng(0).uniform(-0.02, 0.02, (500, 3))
+
+    # While it moves: where the tip was when the cloud was taken.
+    data = arm.model.createData()
+    tip = arm.model.getFrameId(arm.tip)
+    q = arm.configuration(arm.drives.joint_positions(robot.positions))
+    stamp = robot.node.get_clock().now().to_msg()
+    pin.framesForwardKinematics(arm.model, data, q)
+    seen = (box - data.oMf[tip].translation) @ data.oMf[tip].rotation
+    publisher.publish(write_points(seen, arm.tip, stamp))
+
+    def known() -> bool:
+        scene = driver.tracker.scene
+        return scene is not None and "cloud in tip" in scene.obstacles
+
+    assert graph.run(known), driver.reason
+    cubes = driver.tracker.scene.obstacles["cloud in tip"].points
+    apart = np.linalg.norm(box[:, None] - cubes[None], axis=2)
+    assert apart.min(axis=1).max() < 0.02 * 3**0.5 / 2 + 0.006  # 1 rad/s for 10 ms is 3 mm at the tip
+    assert graph.run(lambda: robot.at(target)), driver.reason
+
+    target = set_moving(graph, driver, robot)
+    publisher.publish(write_points(box, "camera_link", robot.node.get_clock().now().to_msg()))
+    words = "a cloud in frame 'camera_link' is refused: no frame of the arm is called 'camera_link'"
+    assert graph.run(lambda: driver.reason.startswith(words)), driver.reason
+    assert graph.run(lambda: driver.tracker.at_rest)
+    assert not robot.at(target)
+    graph.run_for(1.2)
+    assert robot.diagnostics[-1].level == b"\x02"
+    driver._cloud_faults.clear()
+
+    for fault, points, shift in (
+        ("none of them finite", np.full((3, 3), np.nan), 0),
+        ("its time stamp is", box, -50),
+    ):
+        stamp = robot.node.get_clock().now().to_msg()
+        stamp.sec += shift
+        publisher.publish(write_points(points, "world", stamp))
+        assert graph.run(lambda fault=fault: fault in driver.reason), driver.reason
+    publisher.publish(write_points(np.zeros((0, 3)), "world", robot.node.get_clock().now().to_msg()))
+    assert graph.run(lambda: robot.at(target)), driver.reason
+    publisher.publish(write_points(np.zeros((0, 3)), arm.tip, robot.node.get_clock().now().to_msg()))
+    assert graph.run(lambda: not known())
+    robot.node.destroy_publisher(publisher)

@@ -1,0 +1,125 @@
+"""`pinposture robot` and `pinposture drive` as two processes, watched from a third."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros2.processes import EXAMPLES, Watch, environment, started
+
+import pinposture as pp
+
+pytest.importorskip("rclpy")
+pytest.importorskip("mujoco")
+pytestmark = pytest.mark.process
+
+
+def test_two_processes_move_a_soft_arm_to_a_curve_and_end_well(
+    graph: Any, arm_file: Path, tmp_path: Path
+) -> None:
+    arm = pp.Arm.load(arm_file)
+    curve = pp.Curve.helix(0.2, 0.0, 0.25)
+    curve.save(tmp_path / "bow.json")
+    target = pp.resolve_targets(arm, curve, placement="align")
+    watch = Watch(graph, arm, "watch")
+    options = ("--command", "positions", "--curve", tmp_path / "bow.json", "--velocity", 0.2)
+    with (
+        started(tmp_path, "robot", arm_file, "--frequency", 6, "--torque-noise", 0.001) as robot,
+        started(tmp_path, "drive", arm_file, *options) as driver,
+    ):
+        assert graph.run(lambda: watch.states, 60.0)
+        sagged = np.linalg.norm(watch.points - arm.at(arm.straight()).points, axis=1).max()
+        assert sagged > 0.003  # 9.81 / (2 pi 6)^2 is 7 mm
+
+        def there() -> bool:
+            return bool(np.linalg.norm(watch.points - target.points, axis=1).max() < 1e-3)
+
+        assert graph.run(there, 60.0), watch.status
+        assert graph.run(lambda: watch.status.level == b"\x00" and watch.value("target") == "given", 20.0)
+
+        # In the middle of a motion: it brakes, holds, and leaves.
+        pp.Curve.line((0, 0, 0), (0.3, 0, 0)).save(tmp_path / "line.json")
+        elsewhere = arm.at(arm.straight())
+        begin = watch.points
+        send = [sys.executable, EXAMPLES / "send_path.py", tmp_path / "line.json", "--frame", "base"]
+        subprocess.run(send, env=os.environ | environment(tmp_path), check=True, timeout=60)
+        assert graph.run(lambda: np.linalg.norm(watch.points - begin, axis=1).max() > 0.01, 20.0)
+        driver.send_signal(signal.SIGTERM)
+        assert graph.run(lambda: driver.poll() is not None, 20.0)
+        assert driver.returncode == 0
+        assert "the arm holds" in driver.stderr.read()
+        graph.run_for(1.0)
+        at_rest = watch.positions
+        graph.run_for(0.5)
+        np.testing.assert_allclose(watch.positions, at_rest, atol=2e-3)  # encoders are noisy
+        assert np.linalg.norm(watch.points - elsewhere.points, axis=1).max() > 0.02
+        robot.send_signal(signal.SIGINT)
+        assert graph.run(lambda: robot.poll() is not None, 20.0)
+        assert robot.returncode == 0
+
+
+def test_the_time_of_the_simulation_a_camera_and_a_joint_that_sticks(
+    graph: Any, arm_file: Path, tmp_path: Path
+) -> None:
+    from rclpy.parameter import Parameter
+    from rclpy.parameter_client import AsyncParameterClient
+
+    arm = pp.Arm.load(arm_file)
+    scene = tmp_path / "scene.json"
+    pp.Scene({"wall": pp.Box((0.3, 0.0, 0.0), (0.05, 0.6, 0.6))}).save(scene)
+    watch = Watch(graph, arm, "watch_2")
+    with (
+        started(tmp_path, "robot", arm_file, "--frequency", 20, "--clock", "--camera", "--scene", scene),
+        started(tmp_path, "drive", arm_file, "--", "--ros-args", "-p", "use_sim_time:=true") as driver,
+    ):
+        assert graph.run(lambda: watch.states and watch.status is not None, 60.0)
+        assert watch.states[-1].header.stamp.sec < 1000  # not the time of this computer
+        assert graph.run(lambda: "cloud in tip" in watch.value("obstacles"), 30.0), watch.status
+        assert "no target" in watch.status.message
+        target = watch.aim(0.15)
+        assert graph.run(lambda: np.abs(watch.positions - 0.15).max() < 0.01, 30.0), watch.status
+        assert np.linalg.norm(watch.points - target.points, axis=1).max() < 5e-3
+        client = AsyncParameterClient(watch.node, "/robot")
+        assert graph.run(client.services_are_ready, 20.0)
+        stuck = arm.drives.names[3]
+        answer = client.set_parameters([Parameter("stuck", value=stuck)])
+        assert graph.run(answer.done, 20.0)
+        assert answer.result().results[0].successful
+        watch.aim(-0.3)
+        words = f"joint '{stuck}' does not follow its command"
+        assert graph.run(lambda: words in watch.status.message, 30.0), watch.status
+        assert watch.status.level == b"\x01"
+        answer = client.set_parameters([Parameter("stuck", value="")])
+        assert graph.run(lambda: np.abs(watch.positions + 0.3).max() < 0.01, 30.0), watch.status
+        assert driver.poll() is None
+
+
+def test_a_motion_is_performed_once_from_its_start(graph: Any, arm_file: Path, tmp_path: Path) -> None:
+    arm = pp.Arm.load(arm_file)
+    bends = 0.2 + 0.2 * np.sin(np.linspace(0.0, 2.0 * np.pi, 101)) ** 2
+    motion = pp.JointTrajectory.from_configurations(arm, bends[:, None] * np.ones(arm.nv), 0.03)
+    pp.save(motion, tmp_path / "motion.csv")
+    watch = Watch(graph, arm, "watch_3")
+    with (
+        started(tmp_path, "robot", arm_file, "--frequency", 20),
+        started(tmp_path, "drive", arm_file, "--motion", tmp_path / "motion.csv", "--acceleration", 10),
+    ):
+        assert graph.run(lambda: watch.states, 60.0)
+        assert graph.run(lambda: abs(watch.positions.mean() - 0.2) < 0.005, 60.0), watch.status
+        watch.states.clear()
+        start = time.monotonic()
+        assert graph.run(lambda: watch.states and abs(watch.positions.mean() - 0.4) < 0.01, 30.0)
+        assert graph.run(lambda: time.monotonic() - start > 5.0, 20.0)
+        means = np.array([np.mean(each.position) for each in watch.states])
+        # Twice up and down, as the motion is, and back at its end.
+        ups = np.sum(np.diff((means > 0.3).astype(int)) == 1)
+        assert ups == 2
+        assert means.max() < 0.42
+        assert graph.run(lambda: abs(watch.positions.mean() - 0.2) < 0.01)
