@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,43 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ChainState, JointLoad
 from pinposture.arm.weight import heaviest_load
 from pinposture.control.constraint import VIOLATION_ROUNDING, Sides
-from pinposture.control.limits import Limits
+from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, farthest, stopping_steps
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
 
+TORQUE_LENGTH = 0.2
+"""Length as which a torque counts that is as large as its limit, in arm lengths. With 1, paths beside
+postures that cannot be held had a hundredth of each limit left for motion, and 62 of 75 arms, not 67, reached
+a target that moves on (`benchmarks.studies.torque_limits`)."""
+
 LINEARISED = 1e-3
 """Share of a torque limit that is kept for the terms of second order of a step. Without it, the torques of 60
 runs of `benchmarks.studies.torque_limits` exceeded their limits by up to a ten-thousandth."""
+
+
+MAX_STOPPING = 300.0
+"""Largest number of steps of a stop within torque limits."""
+
+HARDEST_SHARE = 0.98
+"""Share of the torques that slow an arm down that its hardest stop takes; the rest is for terms of second
+order."""
+
+SLOWING_SHARE = 0.8
+"""Share of the torques that slow an arm down on which an approach relies; the rest is for other postures."""
+
+
+class Stop(NamedTuple):
+    """Steps that stop an arm.
+
+    Attributes:
+        steps: the steps, (k, nv) [rad or m]; k = 0 if it stops at once.
+        share: largest torque in them and in the steps before, relative to its limit.
+    """
+
+    steps: Array
+    share: float
 
 
 class Overload(NamedTuple):
@@ -49,9 +77,9 @@ class Overload(NamedTuple):
 class TorqueLimits:
     """The torques that hold an arm still, within limits.
 
-    Torques count in metres, as distances do: a torque as large as its limit is the length of the arm. So a
-    path keeps a hundredth of each limit in reserve where it can, as it keeps that share of the length away
-    from obstacles.
+    Torques count in metres, as distances do: a torque as large as its limit is `TORQUE_LENGTH` arm lengths.
+    So a path keeps a twentieth of each limit in reserve where it can, as it keeps a hundredth of the length
+    of the arm away from obstacles.
 
     Args:
         arm: the arm, whose masses are known.
@@ -63,7 +91,8 @@ class TorqueLimits:
         self._limits = effort
         self._effort = (1.0 - VIOLATION_ROUNDING) * effort  # what counts as none is kept, too
         self._limited = np.flatnonzero(np.isfinite(effort))
-        self._scale = arm.length / self._effort[self._limited]
+        self._length = TORQUE_LENGTH * arm.length
+        self._scale = self._length / self._effort[self._limited]
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
@@ -75,14 +104,14 @@ class TorqueLimits:
         positions = state.raw_positions
         torques = self._scale * dynamics.gravity_torques(positions)[self._limited]
         gradient = self._scale[:, None] * dynamics.gravity_gradient(positions)[self._limited]
-        room = self._arm.length - np.concatenate([torques, -torques])
+        room = self._length - np.concatenate([torques, -torques])
         return Sides(np.concatenate([-gradient, gradient]), room, self._names + self._names)
 
     def violations(self, positions: Array) -> Array:
         """Return the largest excess over a limit at joint positions (s, nv), (s,) [m]; 0 if all are kept."""
         torques = np.abs(self._arm.dynamics.gravity_torques(positions)[:, self._limited])
         over = torques / self._effort[self._limited] - 1.0
-        return np.asarray(self._arm.length * over.max(axis=1, initial=0.0))
+        return np.asarray(self._length * over.max(axis=1, initial=0.0))
 
     def heaviest(self, positions: Array) -> JointLoad:
         """Return the joint that needs most of its limit at joint positions (nv,)."""
@@ -119,22 +148,23 @@ class TorqueLimits:
 
 
 class StepTorques:
-    """The torques of an arm where its next step meets the last one, by inverse dynamics.
+    """The torques of the next steps of an arm, by inverse dynamics.
 
-    They are those of the mean speed of both steps and of the acceleration from one to the other.
+    They are those of the mean speed of two steps and of the acceleration from one to the other, where the
+    steps meet.
 
     Args:
         arm: the arm.
-        effort: its torque limits, (nv,) [N m or N].
-        dt: duration of a step [s].
+        bounds: the limits of its joints, with torque limits and a cycle time.
         positions: joint positions, (nv,) [rad or m].
         previous: the last step, (nv,) [rad or m]; None: the arm was at rest.
     """
 
-    def __init__(self, arm: Arm, effort: Array, dt: float, positions: Array, previous: Array | None) -> None:
+    def __init__(self, arm: Arm, bounds: JointBounds, positions: Array, previous: Array | None) -> None:
         self._arm = arm
-        self._effort = effort
-        self._dt = dt
+        self._bounds = bounds
+        self._effort = cast(Array, bounds.effort)
+        self._dt = cast(float, bounds.dt)
         self._positions = positions
         self._previous = np.zeros(arm.nv) if previous is None else previous
 
@@ -148,6 +178,117 @@ class StepTorques:
     def keep_limits(self, dq: Array) -> bool:
         """Check whether the torques of a step dq (nv,) are within their limits."""
         return bool((np.abs(self.of(dq)) <= self._effort).all())
+
+    def largest_share(self, steps: Array) -> float:
+        """Return the largest torque of steps (k, nv) and of the rest after them, relative to its limit."""
+        rest = np.zeros((2, self._arm.nv))
+        moves = np.concatenate([self._previous[None], steps, rest])
+        before = moves[:-1]
+        after = moves[1:]
+        positions = self._positions + np.cumsum(before, axis=0) - self._previous
+        speeds = (before + after) / (2.0 * self._dt)
+        changes = (after - before) / self._dt**2
+        torques = self._arm.dynamics.inverse_dynamics(positions, speeds, changes)
+        return float((np.abs(torques) / self._effort).max())
+
+    def stop(self, dq: Array | None = None) -> Stop:
+        """Find the steps that stop the arm on a straight line, if possible within torque limits.
+
+        Of three stops it takes the first within all limits: the shortest within limits of acceleration, one
+        in which all joints slow down evenly, but for those that come to a position limit before, and
+        one in which they slow down as fast as torques allow at each posture.
+
+        Args:
+            dq: a step before, (nv,) [rad or m]; None: the arm brakes at once.
+        """
+        first = np.zeros((0, self._arm.nv)) if dq is None else dq[None]
+        moving = self._previous if dq is None else dq
+        start = self._positions if dq is None else self._positions + dq
+        best = Stop(np.zeros((0, self._arm.nv)), np.inf)
+        for stop in (self._shortest_stop, self._even_stop, self._hardest_stop):
+            steps = stop(start, moving)
+            if steps is None or (np.isfinite(best.share) and self._leaves_limits(start, moving, steps)):
+                continue
+            found = Stop(steps, self.largest_share(np.concatenate([first, steps])))
+            if found.share <= 1.0:
+                return found
+            best = min(best, found, key=lambda stop: stop.share)
+        return best
+
+    def _shortest_stop(self, start: Array, moving: Array) -> Array | None:
+        """Return the steps of the shortest stop within limits of acceleration; None without these."""
+        bounds = self._bounds
+        if bounds.brake is None:
+            return None
+        return stopping_steps(bounds.edges - start, moving, bounds.bound, bounds.brake)
+
+    def _even_stop(self, start: Array, moving: Array) -> Array:
+        """Return the steps of an even stop within the torque limits of its first posture."""
+        count = np.ceil(1.0 / self._slowing(start, moving))
+        low, high = self._bounds.edges - start
+        room = np.where(moving > 0.0, high, -low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            most = np.floor(1.0 + 2.0 * room / np.abs(moving))
+        most = np.where((moving != 0.0) & (room >= 0.0), most, np.inf)
+        ramp = np.arange(1.0, count)[:, None] / np.minimum(most, count)
+        return np.asarray(moving * np.maximum(1.0 - ramp, 0.0))
+
+    def _hardest_stop(self, start: Array, moving: Array) -> Array:
+        """Return the steps of a stop that takes all torque at each posture."""
+        steps = np.zeros((0, len(moving)))
+        while len(steps) < MAX_STOPPING and (share := self._slowing(start, moving)) < 1.0:
+            moving = (1.0 - HARDEST_SHARE * share) * moving
+            start = start + moving
+            steps = np.vstack([steps, moving])
+        return steps
+
+    def _leaves_limits(self, start: Array, moving: Array, steps: Array) -> bool:
+        """Whether the steps of a stop exceed limits of acceleration, or lead out of those of positions."""
+        low, high = self._bounds.edges - start
+        away = steps.sum(axis=0)
+        outside = np.any(
+            (away < np.minimum(low, 0.0) - LIMIT_ROUNDING) | (away > np.maximum(high, 0.0) + LIMIT_ROUNDING)
+        )
+        brake = self._bounds.brake
+        if brake is None:
+            return bool(outside)
+        changes = np.diff(np.vstack([moving, steps, np.zeros(len(moving))]), axis=0)
+        return bool(outside or np.any(np.abs(changes) > brake + LIMIT_ROUNDING))
+
+    def _slowing(self, positions: Array, moving: Array) -> float:
+        """Return the share of its speed that a moving arm can lose in a step, at least 1 / `MAX_STOPPING`."""
+        share = self.slowing(positions, moving, moving)
+        if self._bounds.brake is not None and np.any(moving):
+            share = min(share, 1.0 / float(np.max(np.abs(moving) / self._bounds.brake)))
+        return max(share, 1.0 / MAX_STOPPING)
+
+    def slowing(self, positions: Array, way: Array, moving: Array | None = None) -> float:
+        """Return by how much an arm that moves along a way can slow down in a step, relative to the way.
+
+        Args:
+            positions: joint positions, (nv,) [rad or m].
+            way: the way, (nv,) [rad or m].
+            moving: its last step, (nv,) [rad or m]; None: it is slow.
+        """
+        speed = np.zeros(len(way)) if moving is None else moving / self._dt
+        changes = np.array([np.zeros(len(way)), way / self._dt**2])
+        same = np.ones((2, 1))
+        held, driven = self._arm.dynamics.inverse_dynamics(same * positions, same * speed, changes)
+        needed = driven - held
+        room = self._effort + np.where(needed > 0.0, held, -held)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.where(needed != 0.0, room / np.abs(needed), np.inf)
+        return max(float(shares.min()), 0.0)
+
+    def approach(self, way: Array) -> Array:
+        """Return the largest step along a way, (nv,), from which the arm can still stop at its end.
+
+        The torques at its beginning count; `SLOWING_SHARE` of them.
+        """
+        if not np.any(way):
+            return way
+        slowing = np.array([SLOWING_SHARE * self.slowing(self._positions, way) + 1.0 / MAX_STOPPING])
+        return np.asarray(farthest(np.ones(1), slowing) * way)
 
     @cached_property
     def masses(self) -> Array:

@@ -143,8 +143,8 @@ class Tracker:
 
     The output keeps all limits, with two exceptions, which `report.violated_constraints` names. Where
     braking within the limits of acceleration and jerk would cause contact with an obstacle, the arm brakes
-    harder. Where obstacles, or the limits of positions, leave no step within the torque limits, or where
-    acceleration is not limited, its torque can exceed them; at rest it does not.
+    harder. Where the arm starts beyond its torque limits, or too fast to brake within them, it exceeds them
+    as little as possible.
 
     Send `positions` to position-controlled drives. They move by `dq`, and restart from the measured
     configuration only if the arm stays elsewhere (`resync_time`). Smaller errors, for instance because the

@@ -17,7 +17,7 @@ from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.constraint import VIOLATION_ROUNDING, Sides, describe_violated, sides_of
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import LinearRows, Objective
-from pinposture.control.torque_limits import TorqueLimits
+from pinposture.control.torque_limits import StepTorques, Stop, TorqueLimits
 from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 
@@ -82,6 +82,7 @@ def solve(
     upper: Array,
     rows: ConstraintRows | None = None,
     equal: tuple[Array, Array] | None = None,
+    hard: ConstraintRows | None = None,
 ) -> Solution:
     """Minimise x^T H x / 2 + g^T x within a box, subject to rows.
 
@@ -95,6 +96,7 @@ def solve(
         upper: largest x, (n,).
         rows: inequalities; none if None.
         equal: matrix (e, n) and right-hand side (e,) of equations; none if None.
+        hard: inequalities that are never violated; none if None.
     """
     n = len(gradient)
     all_rows = ConstraintRows(np.zeros((0, n)), np.zeros(0)) if rows is None else rows.normal()
@@ -104,16 +106,18 @@ def solve(
     matrix = all_rows.matrix[possible]
     least = all_rows.least[possible]
     equations = (np.zeros((0, n)), np.zeros(0)) if equal is None else equal
+    strict = ConstraintRows(np.zeros((0, n)), np.zeros(0)) if hard is None else hard.normal()
 
     def attempt(hessian: Array, gradient: Array, least: Array, soft: bool) -> Array | None:
         size = max(float(np.trace(hessian)) / n, 1e-300)
-        kinds = np.repeat([HARD, SOFT if soft else HARD, EQUAL], [n, len(least), len(equations[1])])
+        counts = [n, len(strict.least), len(least), len(equations[1])]
+        kinds = np.repeat([HARD, HARD, SOFT if soft else HARD, EQUAL], counts)
         x, _, flag, _ = daqp.solve(
             np.ascontiguousarray(hessian / size),
             gradient / size,
-            np.ascontiguousarray(np.vstack([matrix, equations[0]])),
-            np.concatenate([upper, np.full(len(least), NO_BOUND), equations[1]]),
-            np.concatenate([lower, least, equations[1]]),
+            np.ascontiguousarray(np.vstack([strict.matrix, matrix, equations[0]])),
+            np.concatenate([upper, np.full(counts[1] + counts[2], NO_BOUND), equations[1]]),
+            np.concatenate([lower, strict.least, least, equations[1]]),
             kinds.astype(np.int32),
             primal_tol=TOLERANCE,
             eq_reduction=-1,
@@ -241,6 +245,7 @@ class Avoidance:
         previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
         offset: displacement of the measured arm from the state of the arm, (nv,) [rad or m], where steps keep
             or restore the margin, too; None: none.
+        stopping: steps known to stop the arm within its limits, (k, nv) [rad or m]; None: none.
 
     Attributes:
         margin: the distance to keep [m].
@@ -262,6 +267,7 @@ class Avoidance:
         bounds: JointBounds,
         previous: Array | None = None,
         offset: Array | None = None,
+        stopping: Array | None = None,
     ) -> None:
         if offset is not None and offset.shape != (objective.arm.nv,):
             raise InvalidValue("offset (shape)", offset.shape, f"({objective.arm.nv},) for this arm")
@@ -276,6 +282,8 @@ class Avoidance:
         self._rounding = 1e-12 * self._length
         self._bounds = bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
+        self._known_stop = stopping
+        self._step_torques: tuple[ChainState, StepTorques] | None = None
         self._seen: tuple[ChainState, Distances] | None = None
         self._seen_sides: tuple[ChainState, Sides] | None = None
         self._seen_displaced: tuple[ChainState, Distances] | None = None
@@ -283,6 +291,8 @@ class Avoidance:
         brake = bounds.brake
         # The stopping distance, this step included, is the step times half the number of braking steps.
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
+        if bounds.effort is not None and stopping is not None:
+            steps = max(steps, len(stopping) + 2.0)
         self._approach = 2.0 / max(steps, 2.0 / MAX_CLEARANCE_LOSS)
         self._dt = 0.0 if bounds.dt is None else bounds.dt
         self.moving = bool(clearance.scene.velocities)
@@ -299,12 +309,13 @@ class Avoidance:
         bounds: JointBounds,
         previous: Array | None = None,
         offset: Array | None = None,
+        stopping: Array | None = None,
     ) -> Avoidance | None:
         """Return the avoidance of a scene, of constraints and of torque limits; None if there is none."""
         if scene is None and not objective.constraints and bounds.effort is None:
             return None
         scene = _no_obstacles() if scene is None else scene
-        return cls(CollisionModel(objective.arm, scene), objective, bounds, previous, offset)
+        return cls(CollisionModel(objective.arm, scene), objective, bounds, previous, offset, stopping)
 
     @property
     def only_torques(self) -> bool:
@@ -518,10 +529,10 @@ class Avoidance:
         """
         known = self._stops
         if known is None or known[0] is not state or not np.array_equal(known[1], dq):
-            stopping = self._stopping(state, dq)
+            stopping, share = self._stop_after(state, dq)
             least = self.margin - self._rounding
             steps = np.vstack([dq, stopping])
-            clear = self._lowest(state, steps, least) >= least
+            clear = share <= 1.0 and self._lowest(state, steps, least) >= least
             if clear and self.constrained:
                 clear = not self._violates(state, steps, self.violation(state))
             self._stops = known = state, dq, stopping if clear else None
@@ -542,12 +553,12 @@ class Avoidance:
         stopping = self.clear_stop(state, dq)
         if stopping is not None:
             return ClearStep(dq, 1.0, stopping)
-        bounds = self._bounds
         rest = np.zeros((1, len(dq)))
-        rooms = bounds.edges - state.raw_positions
-        braking = np.vstack([stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), rest])
+        braking, needed = self._brake_from(state)
+        strongest = max(needed, 1.0)
+        braking = np.vstack([braking, rest])
         # Obstacles keep moving when the arm has stopped, so that all steps are compared at the same time.
-        until = max(len(braking), len(self._stopping(state, dq)) + 1) if self.moving else 0
+        until = max(len(braking), len(self._stop_after(state, dq).steps) + 1) if self.moving else 0
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin, until))
         touching = min(now, 0.0) - self._rounding
@@ -567,7 +578,10 @@ class Avoidance:
         for number in range(MAX_HALVINGS):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
-            found = ClearStep(step, share, self._stopping(state, step), relaxed)
+            stop = self._stop_after(state, step)
+            if stop.share > strongest:
+                continue
+            found = ClearStep(step, share, stop.steps, relaxed)
             steps = np.vstack([step, found.stopping])
             distance = self._lowest(state, steps, least, until)
             if self._violates(state, steps, accepted):
@@ -575,7 +589,7 @@ class Avoidance:
             if distance >= least:
                 return found
             closer.append((distance, found))
-        harder = self._brake_harder(state, braking, touching, until) if due else None
+        harder = self._brake_harder(state, braking, touching, until, strongest) if due else None
         if harder is not None:
             return harder
         for distance, found in closer if self.moving else ():
@@ -584,15 +598,18 @@ class Avoidance:
         return ClearStep(braking[0], 0.0, braking[1:], relaxed)
 
     def _brake_harder(
-        self, state: ChainState, braking: Array, touching: float, until: int
+        self, state: ChainState, braking: Array, touching: float, until: int, strongest: float
     ) -> ClearStep | None:
         """Return the gentlest step beyond the acceleration limits that prevents contact.
 
-        None if a moving obstacle comes all the same.
+        None if a moving obstacle comes all the same, or the motors have not the torque: no more than
+        `strongest`, relative to its limit.
         """
         for number in range(1, MAX_HALVINGS + 1):
             step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
-            stopping = self._stopping(state, step)
+            stopping, share = self._stop_after(state, step)
+            if share > strongest:
+                return None
             if self._lowest(state, np.vstack([step, stopping]), touching, until) >= touching:
                 break
         else:
@@ -600,10 +617,33 @@ class Avoidance:
                 return None
         return ClearStep(step, 0.0, stopping, (BRAKING_HARDER,))
 
-    def _stopping(self, state: ChainState, dq: Array) -> Array:
-        """Return the steps that stop the arm after a step, (k, nv)."""
+    def _stop_after(self, state: ChainState, dq: Array) -> Stop:
+        """Return the steps that stop the arm after a step, and their torques and those of the step."""
+        torques = self._torques_at(state)
+        if torques is not None:
+            return torques.stop(dq)
         bounds = self._bounds
-        return stopping_steps(bounds.edges - (state.raw_positions + dq), dq, bounds.bound, bounds.brake)
+        rooms = bounds.edges - (state.raw_positions + dq)
+        return Stop(stopping_steps(rooms, dq, bounds.bound, bounds.brake), 0.0)
+
+    def _brake_from(self, state: ChainState) -> Stop:
+        """Return the steps that stop the arm at once, and their torques."""
+        torques = self._torques_at(state)
+        if torques is not None:
+            known = self._known_stop
+            return torques.stop() if known is None else Stop(known, torques.largest_share(known))
+        bounds = self._bounds
+        rooms = bounds.edges - state.raw_positions
+        return Stop(stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), 0.0)
+
+    def _torques_at(self, state: ChainState) -> StepTorques | None:
+        """Return the torques of steps at a state; None if they are not limited. The last ones are cached."""
+        if self._bounds.effort is None or self._bounds.dt is None:
+            return None
+        if self._step_torques is None or self._step_torques[0] is not state:
+            found = StepTorques(self.objective.arm, self._bounds, state.raw_positions, self._previous)
+            self._step_torques = state, found
+        return self._step_torques[1]
 
     def _lowest(self, state: ChainState, steps: Array, below: float, until: int = 0) -> float:
         """Return the smallest distance during steps (k, nv) [m]; exact only if it is smaller than `below`.

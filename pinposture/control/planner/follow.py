@@ -17,6 +17,7 @@ from pinposture.collision import Scene
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import (
     LIMIT_ROUNDING,
+    MAX_STOPPING_STEPS,
     JointBounds,
     Limits,
     StepBox,
@@ -43,6 +44,7 @@ from pinposture.control.planner.damped_least_squares import (
 from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, timed_again
 from pinposture.control.tasks import Displaced, rows_of
+from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
@@ -106,6 +108,8 @@ class StepsAhead(NamedTuple):
         dq: the steps, (s, nv) [rad or m].
         reached: joint positions after each step, (s, nv) [rad or m].
         at_limit: which joints are then at a position limit, (s, nv).
+        stopping: steps that stop the arm after the last one within torque limits, (k, nv) [rad or m]; None if
+            they are not known.
     """
 
     bounds: JointBounds
@@ -114,6 +118,7 @@ class StepsAhead(NamedTuple):
     dq: Array
     reached: Array
     at_limit: NDArray[np.bool_]
+    stopping: Array | None = None
 
 
 class PathProgress(NamedTuple):
@@ -207,6 +212,25 @@ class PathProgress(NamedTuple):
             return False
         return self.path.arm is state.arm and _is_expected(self, state)
 
+    def known_stop(self, state: ChainState, torques: StepTorques) -> Array | None:
+        """Return steps that stop the arm within torque limits, (k, nv) [rad or m]; None if none are known.
+
+        On its path, or after the steps that are computed already.
+
+        Args:
+            state: the state of the arm.
+            torques: the torques of its next step.
+        """
+        if not self.can_stop(state):
+            return None
+        steps = stopping_on_path(self)
+        if torques.largest_share(steps) <= 1.0:
+            return steps
+        ahead = self.ahead
+        if ahead is None or ahead.stopping is None:
+            return None
+        return np.concatenate([ahead.dq[self.taken : len(ahead.places)], ahead.stopping])
+
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return this progress on another path with as many waypoints, or within other limits."""
         timed = timed_again(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
@@ -282,13 +306,16 @@ class GeodesicMemory(Memory):
         known = self.progress
         chain_state = state.chain_state
         bounds = limits.for_arm(state.arm)
-        if known is not None and known.can_stop(chain_state):
-            avoidance = Avoidance.of(known.path.scene, known.objective, bounds, self.dq)
-            if avoidance is None or avoidance.still:
-                box = bounds.box(chain_state, self.dq)
-                step = stop_on_path(known, chain_state, bounds, box, avoidance)
-                return replace(cast(GeodesicMemory, step.memory), goal=self.goal)
-        return super().braked(limits, state)
+        if self.stopping is not None or bounds.effort is None or bounds.dt is None:
+            return super().braked(limits, state)
+        torques = StepTorques(state.arm, bounds, chain_state.raw_positions, self.dq)
+        steps = None if known is None else known.known_stop(chain_state, torques)
+        if known is None or steps is None:
+            return replace(self, stopping=torques.stop().steps).braked(limits, state)
+        step = stop_on_path(known, chain_state, bounds, bounds.box(chain_state, self.dq), None)
+        if len(steps) and np.array_equal(step.dq, steps[0]):
+            return replace(cast(GeodesicMemory, step.memory), goal=self.goal)
+        return replace(self, stopping=steps).braked(limits, state)
 
 
 def follow(
@@ -365,6 +392,8 @@ def fast_step(
             return None
         ahead = _steps_ahead(progress, state, bounds, previous)
         i = 0
+        if ahead.places and avoidance is None and bounds.effort is not None and bounds.dt is not None:
+            ahead = _within_torques(progress, ahead, StepTorques(arm, bounds, state.raw_positions, previous))
         if not ahead.places:
             return None
     place = ahead.places[i]
@@ -474,6 +503,21 @@ def _steps_ahead(
     )
     places = found.places[:steps].tolist()
     return StepsAhead(bounds, places, found.errors.tolist(), found.dq, found.reached, found.at_limit)
+
+
+def _within_torques(progress: PathProgress, ahead: StepsAhead, torques: StepTorques) -> StepsAhead:
+    """Return steps on a path with those that stop the arm after them; none if these exceed torque limits.
+
+    On a schedule, where one is computed at a time, that step alone counts, and the profile tells that the arm
+    can stop.
+    """
+    steps = ahead.dq[: len(ahead.places)]
+    if progress.timed.scheduled:
+        return ahead if torques.keep_limits(steps[0]) else ahead._replace(places=[])
+    places = [progress.place, *ahead.places]
+    stopping = stopping_on_path(progress._replace(place=places[-1], speed=places[-1] - places[-2]))
+    kept = torques.largest_share(np.concatenate([steps, stopping])) <= 1.0
+    return ahead._replace(stopping=stopping) if kept else ahead._replace(places=[])
 
 
 def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -> Step | None:
@@ -633,6 +677,21 @@ def stop_on_path(
     return check_step(CandidateStep(dq, moved), state, bounds, box, avoidance, progress)
 
 
+def stopping_on_path(progress: PathProgress) -> Array:
+    """Return the steps that stop an arm on its path, as `stop_on_path` takes them, (k, nv) [rad or m]."""
+    path = progress.timed.path
+    arrays = progress.timed.arrays
+    none = np.zeros_like(arrays.top)
+    places = [progress.place]
+    speed = progress.speed
+    while speed > 0.0 and len(places) <= MAX_STOPPING_STEPS:
+        speed = kernels.next_path_speed(
+            places[-1], speed, arrays.small, arrays.most, arrays.rows, none, len(path.offsets) - 1
+        )
+        places.append(places[-1] + max(speed, 0.0))
+    return np.diff(path.smooth_offset(np.array(places)), axis=0)
+
+
 class CandidateStep(NamedTuple):
     """A step before the final checks.
 
@@ -649,6 +708,20 @@ class CandidateStep(NamedTuple):
     reason: str = ""
 
 
+def propose(
+    progress: PathProgress, state: ChainState, bounds: JointBounds, box: StepBox, avoidance: Avoidance | None
+) -> CandidateStep:
+    """Return a step along a path, or at its end, before it is checked; arguments as for `advance`."""
+    if not progress.arrived:
+        return step_along(progress, state, box, bounds, avoidance)
+    step_bounds = StepBounds.of(progress.objective, state, box, avoidance)
+    candidate = reduce_remaining(progress, step_bounds)
+    if bounds.effort is None or bounds.dt is None or step_bounds.retreating:
+        return candidate
+    torques = StepTorques(state.arm, bounds, state.raw_positions, None)
+    return candidate._replace(dq=torques.approach(candidate.dq))
+
+
 def advance(
     progress: PathProgress, state: ChainState, bounds: JointBounds, box: StepBox, avoidance: Avoidance | None
 ) -> Step:
@@ -661,10 +734,7 @@ def advance(
         box: the steps that they allow.
         avoidance: the obstacles to avoid; None: none.
     """
-    if progress.arrived:
-        candidate = reduce_remaining(progress, StepBounds.of(progress.objective, state, box, avoidance))
-    else:
-        candidate = step_along(progress, state, box, bounds, avoidance)
+    candidate = propose(progress, state, bounds, box, avoidance)
     return check_step(candidate, state, bounds, box, avoidance, progress)
 
 
@@ -847,13 +917,18 @@ def _next_on_path(
     lag = path.smooth_offset(here) - offset
     if tasks is not None:
         lag = _admitted(progress, here, tasks, lag)
+    braking = bounds.braking
+    if bounds.effort is not None and bounds.dt is not None and np.any(np.abs(lag) > ARRIVED):
+        torques = StepTorques(state.arm, bounds, state.raw_positions, None)
+        slowing = np.maximum(torques.slowing(state.raw_positions, lag) * np.abs(lag), ARRIVED)
+        braking = slowing if bounds.brake is None else np.minimum(slowing, braking)
     dq = np.empty(state.arm.nv)
     place, hindered, inside = kernels.step_on_profile(
         timed.arrays,
         columns,
         units,
         bounds.bound,
-        bounds.braking,
+        braking,
         box.sides,
         PATH_TOLERANCES,
         here,
@@ -905,23 +980,23 @@ def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateSte
     rest = np.clip(np.zeros(len(bounds.lower)), bounds.lower, bounds.upper)  # the arm may have to brake
     reason = ""
     if not np.any(rest):
-        reason = f"no step within the limits reduces the errors further{_describe_errors(objective, bounds)}"
+        reason = _describe_end(objective, state)
     return CandidateStep(objective.displacement(rest), progress, found, reason)
 
 
-def _describe_errors(objective: Objective, bounds: StepBounds) -> str:
-    """Name the tasks that are not met, and say whether the target posture is missed."""
+def _describe_end(objective: Objective, state: ChainState) -> str:
+    """Say that an arm gets no closer, name the tasks that are not met, and whether the posture is missed."""
     left = []
     for task in objective.tasks:
-        error = float(np.linalg.norm(rows_of(task, bounds.state, objective.target).error))
+        error = float(np.linalg.norm(rows_of(task, state, objective.target).error))
         kind = type(task.task if isinstance(task, Displaced) else task)
         left.append(f"{kind.__name__} by {length_text(error)}")
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""
     target = objective.target
-    missed = objective.mean_error(bounds.state) > POINT_FIT.taken * objective.arm.length
+    missed = objective.mean_error(state) > POINT_FIT.taken * objective.arm.length
     if missed and (target.q is None or target.approximate):
         words += "; no posture that takes all points was found; the closest one may be a local minimum"
-    return words
+    return f"no step within the limits reduces the errors further{words}"
 
 
 def check_step(
@@ -957,8 +1032,11 @@ def check_step(
                 progress_place=moved.progress_place,
                 idle_travel=moved.idle_travel,
             )
-        if progress.arrived and avoidance.offset is not None and not (reason or np.any(dq)):
-            reason = CANNOT_EVADE
+        if progress.arrived and not (reason or np.any(dq)):
+            if avoidance.offset is not None:
+                reason = CANNOT_EVADE
+            elif avoidance.still:
+                reason = _describe_end(progress.objective, state)
         violated += relaxed
         messages = _Messages.of(avoidance, state, progress.timed.path, candidate.solution, bool(reason))
     objective = progress.objective

@@ -17,7 +17,7 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
-from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits, stopping_steps
+from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
 from pinposture.control.planner.avoidance import Avoidance, ClearStep, ConstraintRows, solve
 from pinposture.control.planner.damped_least_squares import PlanningProblem, StepBounds, solve_posture
 from pinposture.control.planner.follow import (
@@ -26,9 +26,9 @@ from pinposture.control.planner.follow import (
     GeodesicMemory,
     Goal,
     PathProgress,
-    advance,
     check_step,
     fast_step,
+    propose,
     pursue,
     step_to_goal,
     stop_on_path,
@@ -44,7 +44,7 @@ from pinposture.control.planner.plan import (
     shortcut,
 )
 from pinposture.control.tasks import ControlTask
-from pinposture.control.torque_limits import StepTorques, TorqueLimits
+from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
@@ -86,8 +86,8 @@ class Geodesic:
     If the constraints are infeasible, they are relaxed in this order, and `Step.violated_constraints`
     names them: tasks and posture, by their weights, tasks with priority last; then the margin to obstacles,
     which the next steps restore as far as possible; then acceleration limits, if braking would cause a
-    collision, and position limits, as in `Limits.box`. Velocity limits always hold. The torques of a step
-    (not those at rest, which count as constraints) yield before the margin to obstacles.
+    collision, and position limits, as in `Limits.box`. Velocity limits always hold, and so do torque limits
+    of motions, if the arm starts within them; torques at rest count as constraints.
 
     Attributes:
         joint_weight: weight of joint motion relative to control point motion: the distance, in module
@@ -312,7 +312,7 @@ class Geodesic:
         state = state.chain_state
         model = CollisionModel(state.arm, self.scene)
         bounds = limits.for_arm(state.arm)
-        avoidance = Avoidance(model, objective, bounds, memory.dq, self.offset)
+        avoidance = Avoidance(model, objective, bounds, memory.dq, self.offset, memory.stopping)
         if not (avoidance.moving or avoidance.offset is not None or avoidance.lost(state)):
             return memory.braked(limits, state)
         box = bounds.box(state, memory.dq)
@@ -378,40 +378,50 @@ class _Situation:
             found = None
             if not (self.limited_only and not progress.arrived and progress.timed.is_held):
                 objective = progress.objective
-                found = Avoidance.of(scene, objective, self.bounds, self.previous, self.controller.offset)
+                found = Avoidance.of(
+                    scene, objective, self.bounds, self.previous, self.controller.offset, self.braking
+                )
             self._avoidance = progress, found
         return self._avoidance[1]
 
     def held(self, step: Step | None) -> Step | None:
-        """Return a step after which the motors hold the arm, also while it stops; None if they do not.
+        """Return a step within torque limits, from which the arm can stop within them; None if it is not.
 
-        With a cycle time they also move it as the step does.
+        With it come the steps that stop the arm.
         """
-        effort = self.bounds.effort
-        if effort is None or step is None:
+        if step is None or self.bounds.effort is None:
             return step
-        arm = self.state.arm
-        here = self.state.raw_positions
-        rest = stopping_steps(
-            self.bounds.edges - here - step.dq, step.dq, self.bounds.bound, self.bounds.brake
-        )
-        after = here + np.cumsum(np.vstack([step.dq, rest]), axis=0)
-        if TorqueLimits(arm, effort).violations(after).max() > 0.0:
+        stopping = self.limits_alone.clear_stop(self.state, step.dq)
+        if stopping is None:
             return None
-        return step if self.moves(step) else None
+        return step._replace(memory=replace(step.memory, stopping=stopping))
+
+    @cached_property
+    def limits_alone(self) -> Avoidance:
+        """What steps avoid without a scene: where the motors cannot hold or move the arm."""
+        return cast(
+            Avoidance, Avoidance.of(None, self.objective, self.bounds, self.previous, None, self.braking)
+        )
 
     @cached_property
     def torques(self) -> StepTorques | None:
         """The torques of the step; None if they are not limited, or without a cycle time."""
-        effort = self.bounds.effort
-        dt = self.bounds.dt
-        if effort is None or dt is None:
+        if self.bounds.effort is None or self.bounds.dt is None:
             return None
-        return StepTorques(self.state.arm, effort, dt, self.state.raw_positions, self.previous)
+        return StepTorques(self.state.arm, self.bounds, self.state.raw_positions, self.previous)
 
     def moves(self, step: Step) -> bool:
         """Whether the motors have the torques of a step."""
         return self.torques is None or self.torques.keep_limits(step.dq)
+
+    @cached_property
+    def braking(self) -> Array | None:
+        """The steps that are known to stop the arm within torque limits, (k, nv); None: none."""
+        if self.torques is None or self.memory is None:
+            return None
+        if self.memory.stopping is not None:
+            return self.memory.stopping
+        return None if self.before is None else self.before.known_stop(self.state, self.torques)
 
     @cached_property
     def stopping(self) -> Step | None:
@@ -422,7 +432,8 @@ class _Situation:
         avoidance = self.avoidance(before)
         if avoidance is not None and not avoidance.still:
             return None
-        return stop_on_path(before, self.state, self.bounds, self.box, avoidance)
+        step = stop_on_path(before, self.state, self.bounds, self.box, avoidance)
+        return step if self.moves(step) else None
 
     def remember_goal(self, step: Step) -> Step:
         """Return a step whose memory has the goal, too, so that the next step knows how it moves."""
@@ -452,15 +463,17 @@ def _continue_path(now: _Situation) -> Step | None:
             return None  # it may move; see `pursue`
         if np.any(goal.motion):
             goal = goal._replace(motion=np.zeros(now.state.arm.nv))
-    step = fast_step(before, now.state, now.bounds, now.previous, goal, avoidance)
-    kept = step is None or now.bounds.effort is None or now.moves(step)
-    return step if kept else None
+    return fast_step(before, now.state, now.bounds, now.previous, goal, avoidance)
 
 
 def _go_to_goal(now: _Situation) -> Step | None:
     if not now.direct or now.bounds.brake is not None:
         return None
-    return now.held(step_to_goal(now.objective, now.state, now.bounds))
+    step = now.held(step_to_goal(now.objective, now.state, now.bounds))
+    if step is None or now.torques is None:
+        return step
+    stops = step.memory.stopping is not None and not len(step.memory.stopping)
+    return step if stops else None
 
 
 def _pursue_goal(now: _Situation) -> Step | None:
@@ -482,7 +495,9 @@ def _return_into_limits(now: _Situation) -> Step | None:
     columns = state.arm.columns
     dq[columns] = np.clip(dq, box.lower, box.upper)[columns]
     objective = now.objective
-    avoidance = Avoidance.of(controller.scene, objective, now.bounds, now.previous, controller.offset)
+    avoidance = Avoidance.of(
+        controller.scene, objective, now.bounds, now.previous, controller.offset, now.braking
+    )
     share = 1.0
     stopping = None
     if avoidance is not None:
@@ -491,7 +506,8 @@ def _return_into_limits(now: _Situation) -> Step | None:
             dq[objective.columns] = evading[objective.columns]
         dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
         if share < 1.0:
-            violated += ("position limit: a faster return would violate the margin to an obstacle",)
+            kept = "the margin to an obstacle" if now.torques is None else "torque limits or the margin"
+            violated += (f"position limit: a faster return would violate {kept}",)
         violated += relaxed
     reason = "" if np.any(dq) else "joints are outside their limits, and an obstacle blocks their return"
     step = _step_before_planning(state, now.target, dq, violated, reason, stopping)
@@ -507,7 +523,8 @@ def _back_out(now: _Situation) -> Step | None:
     if now.before is not None or scene is None:
         return None
     state = now.state
-    avoidance = Avoidance(CollisionModel(state.arm, scene), now.objective, now.bounds, now.previous)
+    model = CollisionModel(state.arm, scene)
+    avoidance = Avoidance(model, now.objective, now.bounds, now.previous, stopping=now.braking)
     if avoidance.near(state).minimum >= 0.0:
         return None
     cleared = _smallest_step(avoidance, StepBounds.of(now.objective, state, now.box, avoidance))
@@ -542,58 +559,44 @@ def _follow_path(now: _Situation) -> Step:
     avoidance = now.avoidance(progress)
     if progress is not before and (avoidance is None or avoidance.still):
         step = fast_step(progress, state, now.bounds, now.previous, avoidance=avoidance)
-        if step is not None and (now.bounds.effort is None or now.moves(step)):
+        if step is not None:
             return now.remember_goal(step)
-    step = advance(progress, state, now.bounds, now.box, avoidance)
-    # Without acceleration limits, an arm that gathers speed within its torques stops within a cycle.
-    if now.bounds.acceleration is not None and not now.moves(step):
-        step = _within_torques(now, progress, step)
+    candidate = propose(progress, state, now.bounds, now.box, avoidance)
+    if now.torques is not None:
+        avoidance = now.limits_alone if avoidance is None else avoidance
+        if not now.torques.keep_limits(candidate.dq):
+            candidate = _within_torques(now, progress, candidate, avoidance)
+    step = check_step(candidate, state, now.bounds, now.box, avoidance, progress)
     at_rest = now.previous is None or not np.any(now.previous)
     if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
         step = _explain_collision(step, avoidance, state)
     return now.remember_goal(step)
 
 
-def _within_torques(now: _Situation, progress: PathProgress, step: Step) -> Step:
-    """Return a step within torque limits in place of one along a path that exceeds them.
+def _within_torques(
+    now: _Situation, progress: PathProgress, candidate: CandidateStep, avoidance: Avoidance
+) -> CandidateStep:
+    """Return the step within torque limits that is closest to one along a path that exceeds them.
 
-    On the former path the arm can slow down. Else it takes the step closest to the other that torques,
-    obstacles and constraints allow, measured by the kinetic energy of the difference, so that a joint whose
-    torque is within its limit is not thrown to relieve another. If that is farther away than going on at the
-    same speed, as where holding the arm takes all of a torque, the arm would swing: the other step stays,
-    and the excess is for the report.
+    Of those that torques, obstacles and constraints allow, measured by the kinetic energy of the difference,
+    so that a joint whose torque is within its limit is not thrown to relieve another.
     """
-    if now.stopping is not None and now.moves(now.stopping):
-        return now.stopping
     objective = progress.objective
-    avoidance = Avoidance.of(now.controller.scene, objective, now.bounds, now.previous, now.controller.offset)
     bounds = StepBounds.of(objective, now.state, now.box, avoidance)
     torques = cast(StepTorques, now.torques)
     chosen = np.ix_(objective.columns, objective.columns)
     hessian = scaled(torques.masses[chosen], objective.units)
     hessian += LEAST_MASS * float(np.trace(hessian)) / len(hessian) * np.eye(len(hessian))
-    gradient = -hessian @ objective.normalize(step.dq)
-    dq = step.dq
+    gradient = -hessian @ objective.normalize(candidate.dq)
+    dq = candidate.dq
     for _ in range(TORQUE_ITERATIONS):
         matrix, least = torques.rows(dq)
         limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
-        found = solve(
-            hessian,
-            gradient,
-            bounds.lower,
-            bounds.upper,
-            limits if bounds.rows is None else limits.joined(bounds.rows),
-        )
+        found = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows, hard=limits)
         if found.x is None:
-            return step
+            return candidate
         dq = objective.displacement(found.x)
-    change = objective.normalize(step.dq if now.previous is None else step.dq - now.previous)
-    missed = objective.normalize(dq - step.dq)
-    if missed @ hessian @ missed > change @ hessian @ change:
-        return step
-    moved = cast(GeodesicMemory, step.memory).progress
-    candidate = CandidateStep(dq, progress if moved is None else moved, found)
-    return check_step(candidate, now.state, now.bounds, now.box, avoidance, progress)
+    return CandidateStep(dq, candidate.progress, found)
 
 
 class Mode(NamedTuple):
