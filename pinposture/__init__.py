@@ -71,9 +71,9 @@ if TYPE_CHECKING:
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
     from pinposture.task.perform import move_through, perform
-    from pinposture.task.phases import Phase, TipGoal, Withdrawal
+    from pinposture.task.phases import Carrying, Phase, Release, TipGoal, Withdrawal
     from pinposture.task.task import Task
-    from pinposture.task.wrap import Grip, carry, unwrap, wrap
+    from pinposture.task.wrap import Grip, Wrapping, carry, unwrap, wrap
     from pinposture.viz import animate, plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"
@@ -85,6 +85,7 @@ __all__ = [
     "Box",
     "Capsule",
     "Carried",
+    "Carrying",
     "CollisionModel",
     "Controller",
     "Curve",
@@ -116,6 +117,7 @@ __all__ = [
     "PostureWarning",
     "Projection",
     "ReachedPosture",
+    "Release",
     "Run",
     "Scan",
     "Scene",
@@ -133,6 +135,7 @@ __all__ = [
     "Tracker",
     "Trajectory",
     "Withdrawal",
+    "Wrapping",
     "animate",
     "assess_hold",
     "assess_support",
@@ -236,6 +239,7 @@ _PACKAGES = {
     ),
     "placement": ("PointFilter", "Target", "fit_points", "resolve_targets"),
     "task": (
+        "Carrying",
         "Grip",
         "carry",
         "unwrap",
@@ -243,9 +247,11 @@ _PACKAGES = {
         "Keyframe",
         "Leader",
         "Phase",
+        "Release",
         "Task",
         "TipGoal",
         "Withdrawal",
+        "Wrapping",
         "find_path",
         "follow_leader",
         "keyframe_reference",

@@ -27,7 +27,7 @@ from pinposture.arm import ArmSpec, Cable, FeedSpec, Load, Weight
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.schema import key_path_in_words, mistakes_of, read_as
 from pinposture.sim import ContactModel, DriveModel, Sensing, Servos
-from pinposture.task import Leader, TipGoal, Withdrawal
+from pinposture.task import Carrying, Leader, Release, TipGoal, Withdrawal, Wrapping
 
 
 class File:
@@ -59,6 +59,9 @@ NEEDED: dict[type, dict[str, Any]] = {
     Leader: {"path": line, "speed": 0.1},
     TipGoal: {"position": (0.1, 0.2, 0.3)},
     Withdrawal: {},
+    Wrapping: {"obstacle": "can"},
+    Carrying: {"position": (0.1, 0.2, 0.3)},
+    Release: {},
     FeedSpec: {"stroke": 0.3},
     ArmSpec: {"template": "RyRz", "modules": 3},
     Load: {"mass": 0.5},
@@ -81,6 +84,7 @@ IN_FILE: dict[type, dict[str, Any]] = {
     pp.Limits: {"cycle": 0.02, "acceleration": 3.0},
     pp.EndEffector: {"position": [0.1, 0.2, 0.3]},
     TipGoal: {"position": [0.1, 0.2, 0.3]},
+    Carrying: {"position": [0.1, 0.2, 0.3]},
 }
 
 
@@ -116,6 +120,8 @@ SHARED = [
     (Leader, ("speed", "depth", "placement", "method", "and_back", "pipe")),
     (TipGoal, ("position", "direction", "rotation", "duration", "hold", "budget")),
     (Withdrawal, ("speed",)),
+    (Wrapping, ("obstacle", "turns", "friction", "squeeze")),
+    (Carrying, ("position", "turn", "onto")),
     (FeedSpec, ("stroke", "length", "speed")),
     (ArmSpec, ("joint_limits", "characteristic_length")),
     (Load, ("mass", "com")),

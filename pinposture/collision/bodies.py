@@ -63,6 +63,18 @@ def carried_bodies(arm: Arm, scene: Scene) -> tuple[Body, ...]:
     return tuple(found)
 
 
+def frame_pose(arm: Arm, q: Array, name: str) -> pin.SE3:
+    """Return the pose of a link, a control point or a joint at a configuration, (nq,).
+
+    Raises:
+        UnknownName: the arm has no such frame.
+    """
+    data = arm.model.createData()
+    pin.forwardKinematics(arm.model, data, q)
+    frame = find_frame(arm.model, name)
+    return data.oMi[frame.parentJoint] * frame.placement
+
+
 def scene_at(arm: Arm, q: Array, scene: Scene) -> Scene:
     """Return a scene at a configuration, (nq,): what the arm carries stands where the arm has it.
 
@@ -71,12 +83,9 @@ def scene_at(arm: Arm, q: Array, scene: Scene) -> Scene:
     """
     if not scene.carried:
         return scene
-    data = arm.model.createData()
-    pin.forwardKinematics(arm.model, data, q)
     obstacles = dict(scene.obstacles)
     for name, carried in scene.carried.items():
-        frame = find_frame(arm.model, carried.frame)
-        moved = data.oMi[frame.parentJoint] * frame.placement * carried.placement.inverse()
+        moved = frame_pose(arm, q, carried.frame) * carried.placement.inverse()
         obstacles[name] = displaced(scene.first.obstacles[name], moved)
     return replace(scene, obstacles=obstacles, carried={})
 

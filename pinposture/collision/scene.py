@@ -85,7 +85,12 @@ def _require_known_names(value: Mapping[str, Twist], info: ValidationInfo) -> Ma
     return value
 
 
-def _as_names(name: str, value: Any) -> tuple[str, ...]:
+def as_names(name: str, value: Any) -> tuple[str, ...]:
+    """Return a list of names of obstacles, in order.
+
+    Raises:
+        InvalidValue: something else.
+    """
     if isinstance(value, str) or not isinstance(value, (tuple, list, set, frozenset)):
         raise InvalidValue(name, value, "a list of names of obstacles")
     names = [require_name(f"{name}[{k}]", each) for k, each in enumerate(value)]
@@ -143,7 +148,7 @@ class Carried(Declared):
     frame: Text
     position: Point = (0.0, 0.0, 0.0)
     rotation: Turn = UNTURNED
-    beside: Annotated[Sequence[str], CheckedBy(_as_names)] = ()
+    beside: Annotated[Sequence[str], CheckedBy(as_names)] = ()
 
     @property
     def placement(self) -> pin.SE3:
@@ -199,7 +204,7 @@ class Scene(Declared):
     velocities: Annotated[_Velocities, AfterValidator(_require_known_names), _ReadOnly] = field(
         default_factory=dict
     )
-    touchable: Annotated[Sequence[str], CheckedBy(_as_names), AfterValidator(_require_known)] = ()
+    touchable: Annotated[Sequence[str], CheckedBy(as_names), AfterValidator(_require_known)] = ()
     carried: Annotated[Mapping[str, Carried], AfterValidator(_require_carriable), _ReadOnly, _Named] = field(
         default_factory=dict
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TaskError
-from pinposture.task import Keyframe, Leader, Phase, Task, TipGoal
+from pinposture.task import Carrying, Keyframe, Leader, Phase, Release, Task, TipGoal, Withdrawal, Wrapping
 from pinposture.task.phases import is_phased, keyed, phase_title, plan_phases
 
 
@@ -94,16 +94,21 @@ def phase_label(phases: tuple[Phase, ...], index: int) -> str:
     return f"{index + 1}{name}  ·  {_kind(phase)}"
 
 
+KINDS: dict[type, str] = {
+    Leader: "along a path",
+    TipGoal: "tip to a goal",
+    Withdrawal: "way out",
+    Wrapping: "around an object",
+    Carrying: "carries it",
+    Release: "lets go of it",
+}
+"""What phases without keyframes do, in a word."""
+
+
 def _kind(phase: Phase) -> str:
     """Say in a word what a phase does."""
-    if isinstance(phase.motion, Leader):
-        return "along a path"
-    if isinstance(phase.motion, TipGoal):
-        return "tip to a goal"
-    if not keyed(phase):
-        return "way out"
     count = len(keyed(phase))
-    return f"{count} keyframe{'s' * (count > 1)}"
+    return KINDS.get(type(phase.motion), f"{count} keyframe{'s' * (count > 1)}")
 
 
 def editable(task: Task, index: int | None = None) -> Task:

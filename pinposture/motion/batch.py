@@ -116,6 +116,7 @@ class Batch:
             points=points,
             point_errors=target.distances(points),
             info=info_of(arrays),
+            held=(),
             **{name: arrays[name] for name in CONFIGURATION_ARRAYS + STEP_ARRAYS},
         )
 

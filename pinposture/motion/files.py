@@ -1,4 +1,4 @@
-"""`save` and `load`: files of runs, motions, batches, simulations and joint trajectories."""
+"""`save` and `load`: files of runs, motions, batches, simulations, grips and joint trajectories."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from pinposture.motion.run import (
 )
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
-from pinposture.schema import read_plain
+from pinposture.schema import Declared, as_plain, read_plain
 from pinposture.storage import with_suffix, write_bytes
 from pinposture.units import length_text
 
@@ -70,6 +70,8 @@ def pack(result: Any, prefix: str = "", without: Collection[str] = ()) -> tuple[
             arrays |= {f"{prefix}{name}_{key}": column for key, column in value.items()}
         elif hasattr(value, "to_dict"):
             about[name] = value.to_dict()
+        elif isinstance(value, tuple) and any(isinstance(each, Declared) for each in value):
+            about[name] = [as_plain(each) for each in value]
         elif not is_dataclass(value):
             about[name] = value
         elif _has_arrays(type(value)):
@@ -108,7 +110,7 @@ def unpack(
             }
         elif part is None:
             if name in about:
-                values[name] = read_plain(_hints(kind)[name], about[name], name)
+                values[name] = read_plain(_hints(kind)[name], about[name], name, folder=".")
         elif hasattr(part, "from_dict"):
             values[name] = part.from_dict(about[name])
         elif _has_arrays(part):
@@ -167,7 +169,7 @@ class Format(NamedTuple):
 ARCHIVES: dict[str, Format] = {}
 """The formats by name; higher packages add theirs with `register`."""
 
-_REGISTERED_BY = {"pinposture-simulation": "pinposture.sim"}
+_REGISTERED_BY = {"pinposture-simulation": "pinposture.sim", "pinposture-grip": "pinposture.task"}
 """Packages that register formats on import."""
 
 _MESSAGE = (write_ros_message, read_ros_message)
@@ -189,8 +191,8 @@ def register(form: Format) -> None:
 def save(result: Any, path: str | Path) -> Path:
     """Write a result to a file atomically.
 
-    A `Run`, `Trajectory`, `Batch`, `Simulation` or `Map` is written as a `.npz` archive that includes the
-    arm, the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless;
+    A `Run`, `Trajectory`, `Batch`, `Simulation`, `Grip` or `Map` is written as a `.npz` archive that includes
+    the arm, the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless;
     ".csv" omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`, with times
     in whole nanoseconds, as are ".yaml" and ".yml", with the same text.
 
@@ -239,8 +241,8 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
 
     Args:
         path: the file.
-        kind: the expected class: `Run`, `Trajectory`, `Batch`, `Simulation`, `JointTrajectory` or `Map`; any
-            if None.
+        kind: the expected class: `Run`, `Trajectory`, `Batch`, `Simulation`, `Grip`, `JointTrajectory` or
+            `Map`; any if None.
 
     Raises:
         FileError: the file is missing, damaged, or contains something else; names line or point of a text
@@ -308,9 +310,10 @@ def _format_of(kind: type, name: str, value: object) -> Format:
     for form in ARCHIVES.values():
         if form.kind is kind:
             return form
-    allowed = ", ".join(form.kind.__name__ for form in ARCHIVES.values())
+    names = [form.kind.__name__ for form in ARCHIVES.values()]
+    names += [each for each in ("Simulation", "Grip") if each not in names]
     hint = "; curves, scenes and tasks have their own `save` and `load`"
-    raise InvalidValue(name, value, f"{allowed} or Simulation{hint}")
+    raise InvalidValue(name, value, f"{', '.join(names[:-1])} or {names[-1]}{hint}")
 
 
 # What the parts of a result must be, for all formats.
@@ -385,6 +388,9 @@ def _check_run(run: Run) -> None:
     check_arrays(vars(run.target), {"points": (m, 3), "weights": (m,)})
     check_postures(arm, vars(run))
     require_finite("point_errors", run.point_errors)
+    for each in run.held:
+        if not each.begin < each.end <= len(run.q):
+            raise InvalidValue("held", each, f"rows up to {len(run.q)}, in order")
     require_known("status", run.status, ENDINGS)
 
 

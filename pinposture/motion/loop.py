@@ -109,7 +109,7 @@ class RunRecord:
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
         self._target = target
         self._scene = scene
-        self._model = None if scene is None or scene.empty else CollisionModel(start.arm, scene)
+        self.measure_in(start.arm, scene)
         self._reported: dict[str, tuple[tuple[int, ...], str]] = {}
         self._steps: list[Step] = []
         self._q: list[Array] = []
@@ -120,6 +120,10 @@ class RunRecord:
         self._add(start)
         self._best = self.posture_error
         self._idle = 0.0
+
+    def measure_in(self, arm: Arm, scene: Scene | None) -> None:
+        """Measure distances in a scene; None: none."""
+        self._model = None if scene is None or scene.empty else CollisionModel(arm, scene)
 
     def set_target(self, target: Target) -> None:
         """Replace the target, and restart measuring progress."""
@@ -297,6 +301,12 @@ class RecordedLoop(Loop):
         except InvalidValue as error:  # what the controller reports is not as before
             name = f"{type(self.steps.controller).__name__}.step(...).{error.name}"
             raise InvalidValue(name, error.value, error.allowed) from None
+
+    def enter(self, scene: Scene) -> None:
+        """Go on in another scene, in which the arm has to keep clear, and its distances are recorded."""
+        if isinstance(self.steps.controller, Geodesic):
+            self.steps.controller = self.steps.controller.with_scene(None if scene.empty else scene)
+        self.record.measure_in(self.arm, scene)
 
     def run(
         self, target: Target, tolerance: float, max_steps: int, callback: Callback | None = None

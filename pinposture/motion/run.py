@@ -21,6 +21,7 @@ from pinposture.collision.model import Pair, arm_alone
 from pinposture.control import Limits
 from pinposture.control.controller import CONSTRAINTS
 from pinposture.errors import InvalidValue, MotionError, NoEquilibrium
+from pinposture.motion.held import HeldObject, Stages
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.target import distance_from_curve
@@ -382,8 +383,8 @@ def find_sag(motion: Outcome) -> Sagged:
             return Sagged(None, None, row, (gives_way,))
     moved = arm.at(q[-1]).points - arm.at(motion.q[-1]).points
     off = float(np.linalg.norm(moved, axis=1).mean())
-    model = CollisionModel(arm, arm_alone(arm) if motion.scene is None else motion.scene)
-    distances = [model.minimum(row) for row in q]
+    scene = arm_alone(arm) if motion.scene is None else motion.scene
+    distances = [CollisionModel(arm, motion.scene_in(k, scene)).minimum(each) for k, each in enumerate(q)]
     row = min(range(len(q)), key=lambda k: distances[k].distance)
     closest = distances[row]
     faults: tuple[str, ...] = ()
@@ -530,7 +531,8 @@ class Run(Outcome):
             in penetration, infinite without a scene.
         info: what else the controller reported, by name, with a row per step; see `Step.info`. A step that
             does not report a value has 0, False or an empty text.
-        scene: the obstacles; None: none.
+        scene: the obstacles, as they were at the start; None: none.
+        held: the obstacles that the arm holds on the way.
     """
 
     arm: Arm
@@ -549,9 +551,18 @@ class Run(Outcome):
     clearance: Array
     info: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     scene: Scene | None = None
+    held: tuple[HeldObject, ...] = ()
 
     def __post_init__(self) -> None:
         make_read_only(*vars(self).values(), *self.info.values())
+
+    @cached_property
+    def _stages(self) -> Stages:
+        return Stages(self.arm, self.held, lambda row: self.q[row], len(self.q))
+
+    def scene_in(self, row: int, scene: Scene) -> Scene:
+        """Return a scene in a row, with what the arm held where it is, given that at the start."""
+        return self._stages.scene(self._stages.number(row % len(self.q)), scene)
 
     @property
     def steps(self) -> int:

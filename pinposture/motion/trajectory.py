@@ -164,7 +164,8 @@ class Trajectory:
         why = "".join(f": {cause} for {count * self.dt:.3g} s" for cause, count in causes.most_common(1))
         if why.startswith(f": {OFF_THE_PATH}") and self.run.scene is not None:
             row = min(self._slow_cycles, key=lambda cycle: float(self.run.clearance[cycle]))
-            pair = CollisionModel(self.arm, self.run.scene).minimum(self.q[row]).pair or ()
+            scene = self.run.scene_in(row, self.run.scene)
+            pair = CollisionModel(self.arm, scene).minimum(self.q[row]).pair or ()
             why += f"; {' and '.join(pair)} come closest to each other"
         scale = self.time_scale
         slow = f"{scale:.3g} times as long as"

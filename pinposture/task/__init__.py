@@ -5,22 +5,25 @@ from pinposture.task.follow_leader import Deviation, Leader, follow_leader, path
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import move_through, perform
-from pinposture.task.phases import Phase, TipGoal, Withdrawal
+from pinposture.task.phases import Carrying, Phase, Release, TipGoal, Withdrawal
 from pinposture.task.reference import Reference, Waypoint
 from pinposture.task.task import Task
-from pinposture.task.wrap import Grip, carry, unwrap, wrap
+from pinposture.task.wrap import Grip, Wrapping, carry, unwrap, wrap
 
 __all__ = [
+    "Carrying",
     "Deviation",
     "Grip",
     "Keyframe",
     "Leader",
     "Phase",
     "Reference",
+    "Release",
     "Task",
     "TipGoal",
     "Waypoint",
     "Withdrawal",
+    "Wrapping",
     "carry",
     "find_path",
     "follow_leader",

@@ -24,6 +24,7 @@ from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile
 from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
 from pinposture.motion import tolerances
+from pinposture.motion.held import HeldObject
 from pinposture.motion.loop import RecordedLoop, in_scene
 from pinposture.motion.run import Run
 from pinposture.motion.trajectory import Trajectory, WaypointResult
@@ -297,7 +298,7 @@ def perform(
     require_passage(reference, scene, MAX_MEAN_LAG * arm.length / arm.n_modules)
     guide = ReferencePath(reference, limits)
     loop = RecordedLoop(arm, start, guide.target(0.0), controller, limits, scene)
-    performance = _Performance(guide, loop, tolerance, progress)
+    performance = _Performance(guide, loop, tolerance, progress, scene)
     motion = performance.trajectory(*performance.run())
     status = motion.run.status
     reason = motion.run.reason
@@ -347,8 +348,15 @@ class _Performance:
     """A motion in progress: the place on the reference and the target after each step."""
 
     def __init__(
-        self, guide: ReferencePath, loop: RecordedLoop, tolerance: float, progress: Progress | None
+        self,
+        guide: ReferencePath,
+        loop: RecordedLoop,
+        tolerance: float,
+        progress: Progress | None,
+        scene: Scene | None,
     ) -> None:
+        self._scene = scene
+        self._stage = 0
         self.guide = guide
         self.loop = loop
         self.tolerance = tolerance
@@ -380,7 +388,7 @@ class _Performance:
             return status, f"on the way to the first posture: {reason}"
         self._start_index = len(self._places) - 1
         controller = self.loop.steps.controller
-        ended = self._look_ahead(controller) if isinstance(controller, Geodesic) else self._lead()
+        ended = self._look_ahead() if isinstance(controller, Geodesic) else self._lead()
         return self._go_to(self.guide.end) if ended is None else ended
 
     def trajectory(self, status: str, reason: str) -> Trajectory:
@@ -389,6 +397,7 @@ class _Performance:
         loop = self.loop
         places = np.array(self._places)
         run = loop.record.run(loop.arm, loop.steps.controller, loop.limits, status, reason)
+        run = replace(run, held=self._held(places))
         nexts = [*(waypoint.row for waypoint in reference.waypoints[1:]), np.inf]
         results = tuple(
             self._result(waypoint, until, places, run)
@@ -406,6 +415,16 @@ class _Performance:
             planned=float(self.guide.times[-1]),
             waypoints=results,
             deviations=tuple(self._notes),
+        )
+
+    def _held(self, places: Array) -> tuple[HeldObject, ...]:
+        """Return what the arm held, in rows of the motion, given its place in each."""
+        planned = self.guide.reference.held
+        rows = [np.searchsorted(places, (each.begin, each.end)).tolist() for each in planned]
+        return tuple(
+            replace(each, begin=begin, end=end)
+            for each, (begin, end) in zip(planned, rows, strict=True)
+            if begin < end
         )
 
     def _result(self, waypoint: Waypoint, until: float, places: Array, run: Run) -> WaypointResult:
@@ -487,6 +506,7 @@ class _Performance:
                 ended = "stopped", STOPPED
         if ended[0] == "converged":
             self._set_place(place)
+            self._enter_stage(place)
         self._fill(self._place, target)
         self._max_steps += record.steps - begun
         return ended
@@ -511,6 +531,7 @@ class _Performance:
         """Record the place after a step; return status and reason if the motion ends there."""
         self._places.append(place)
         self._targets.append(target)
+        self._enter_stage(place)
         ended = None
         if self._report():
             ended = "stopped", STOPPED
@@ -521,6 +542,14 @@ class _Performance:
             self.loop.brake_to_rest()
             self._fill(place, target)
         return ended
+
+    def _enter_stage(self, place: float) -> None:
+        """Go on in the scene of a place, if what the arm holds changes there."""
+        stages = self.guide.reference.stages
+        stage = stages.number(place)
+        if stage != self._stage and self._scene is not None:
+            self._stage = stage
+            self.loop.enter(stages.scene(stage, self._scene))
 
     def _fill(self, place: float, target: Target) -> None:
         """Record the steps towards a target during which the plan did not advance."""
@@ -533,13 +562,14 @@ class _Performance:
         """Record a deviation from the plan."""
         self._notes.append(f"at {float(self.guide.time(place)):.4g} s of the plan {text}")
 
-    def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
+    def _look_ahead(self) -> tuple[str, str] | None:
         """Follow the path with a controller that knows it; return None at its end, else status and reason."""
         loop = self.loop
         guide = self.guide
         while self._place < guide.end:
             begun = self._place
             progress = None
+            controller = cast(Geodesic, loop.steps.controller)
             remaining = guide.remaining(begun, controller)
             waypoint = guide.next_waypoint(begun)
             loop.memory = controller.start(remaining, loop.ahead.chain_state, loop.memory)

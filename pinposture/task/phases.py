@@ -1,4 +1,7 @@
-"""Phases of a task, one after the other: along a path, to a goal of the tip, through keyframes, and out."""
+"""Phases of a task, one after the other: along a path, to a goal of the tip, through keyframes, and out.
+
+An arm can also wrap around an object, carry it, and let go of it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from math import ceil
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeGuard
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeGuard, cast
 
 import numpy as np
 import pinocchio as pin
@@ -16,10 +19,11 @@ from numpy.typing import NDArray
 from pydantic import ValidationInfo, model_validator
 
 from pinposture._validation import direction as unit_vector
-from pinposture._validation import is_usable, require_function
+from pinposture._validation import is_usable, require_function, require_known
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.pipe import pipe
+from pinposture.collision.scene import as_names
 from pinposture.control import JointPath, Limits, plan
 from pinposture.control.limits import cycle_of
 from pinposture.control.planner.objective import Objective
@@ -27,8 +31,10 @@ from pinposture.control.reach import reach, reach_from, require_within_reach, ti
 from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, TaskError, gather, raise_together
+from pinposture.motion.held import HeldObject
 from pinposture.placement import Target
 from pinposture.schema import (
+    CheckedBy,
     Declared,
     Duration,
     InputFile,
@@ -60,6 +66,15 @@ from pinposture.task.keyframe import (
 from pinposture.task.keyframes import PEAK_SPEED_RATIO, ROW_STEP, Progress, keyframe_reference
 from pinposture.task.passage import require_wide_pipe
 from pinposture.task.reference import Reference, Waypoint, smooth_step
+from pinposture.task.wrap import (
+    Grip,
+    Wrapping,
+    carry,
+    find_grip,
+    opening_ways,
+    path_through,
+    require_touchable,
+)
 
 Array = NDArray[np.float64]
 
@@ -134,20 +149,56 @@ class Withdrawal(Declared):
     speed: Speed | None = None
 
 
-PhaseMotion: TypeAlias = "Leader | TipGoal | tuple[Keyframe, ...] | Withdrawal"
+@declared()
+class Carrying(Declared):
+    """The arm carries the object that it holds, along a straight line; see `pinposture.carry`.
+
+    Attributes:
+        position: where the middle of the object comes to, (3,) [m], world frame.
+        turn: roll, pitch and yaw by which the object is turned on the way, (3,) [rad], world axes.
+        onto: names of obstacles that the object may touch, to be put down on them.
+
+    Raises:
+        InvalidValue: an invalid value.
+    """
+
+    position: Position
+    turn: Rotation = (0.0, 0.0, 0.0)
+    onto: Annotated[Sequence[str], CheckedBy(as_names)] = ()
+
+
+@declared()
+class Release(Declared):
+    """The arm lets go of the object that it holds, and stands off from it by the margin."""
+
+
+PhaseMotion: TypeAlias = (
+    "Leader | TipGoal | tuple[Keyframe, ...] | Withdrawal | Wrapping | Carrying | Release"
+)
 
 
 MOTIONS: Mapping[str, Any] = MappingProxyType(
-    {"leader": Leader, "reach": TipGoal, "keyframes": tuple[Keyframe, ...], "withdraw": Withdrawal}
+    {
+        "leader": Leader,
+        "reach": TipGoal,
+        "keyframes": tuple[Keyframe, ...],
+        "withdraw": Withdrawal,
+        "wrap": Wrapping,
+        "carry": Carrying,
+        "release": Release,
+    }
 )
 """Keys of the table of a phase, of which each has one, and what they contain."""
 
 
 def _read_motion(value: Any, _: ValidationInfo) -> PhaseMotion:
-    if isinstance(value, Leader | TipGoal | Withdrawal):
+    if isinstance(value, Leader | TipGoal | Withdrawal | Wrapping | Carrying | Release):
         return value
     if not isinstance(value, list | tuple) or not all(isinstance(each, Keyframe) for each in value):
-        allowed = "a Leader, a TipGoal, one or more of Keyframe(...), or a Withdrawal"
+        allowed = (
+            "a Leader, a TipGoal, one or more of Keyframe(...), a Withdrawal, a Wrapping, a Carrying, or a "
+            "Release"
+        )
         raise NotAllowed(value, allowed)
     if not value:
         raise NotAllowed(value, "one or more of Keyframe(...)")
@@ -162,7 +213,8 @@ class Phase(Declared):
         motion: a `Leader` moves the straight arm along a path; a `TipGoal` brings the tip to a position or a
             pose; keyframes are taken in order, at times from the beginning of the phase; a `Withdrawal` moves
             out along the path of the last leader. The first phase of all begins with its first keyframe; in
-            others, the first keyframe has a time or a duration.
+            others, the first keyframe has a time or a duration. A `Wrapping` takes an object in the arm, a
+            `Carrying` moves it, and a `Release` lets go of it; between these there are no others.
         name: a name; if empty, messages use the number of the phase.
 
     Raises:
@@ -195,7 +247,7 @@ class Phase(Declared):
 
     def to_table(self, file: OutputFile) -> dict[str, Any]:
         """Return the table, with the motion under the key of its kind."""
-        kinds = {Leader: "leader", TipGoal: "reach", Withdrawal: "withdraw"}
+        kinds = {kind: key for key, kind in MOTIONS.items() if key != "keyframes"}
         name = {"name": self.name} if self.name else {}
         return {**name, kinds.get(type(self.motion), "keyframes"): write_parts(self.motion, file)}
 
@@ -241,8 +293,37 @@ def _check(phases: tuple[Phase, ...], index: int, arm: Arm, scene: Scene | None)
                 raise InvalidValue("keyframes", 1, "two or more, as it is the first phase")
             if isinstance(phase.motion, Withdrawal) and _open_leader(phases[:index]) is None:
                 raise InvalidValue("withdrawal", phase.motion, "one after a leader that does not return")
+            _check_hand(phases, index, scene)
 
     return check
+
+
+def _check_hand(phases: tuple[Phase, ...], index: int, scene: Scene | None) -> None:
+    """Refuse a phase that an arm cannot do with what it holds, or with what there is to hold."""
+    motion = phases[index].motion
+    holding = _held_before(phases[:index])
+    if isinstance(motion, Carrying | Release):
+        if holding is None:
+            word = "carry" if isinstance(motion, Carrying) else "release"
+            raise InvalidValue(word, motion, "one after a phase that wraps around an object")
+    elif holding is not None:
+        raise InvalidValue("motion", motion, f"a Carrying or a Release, as the arm holds {holding!r}")
+    if isinstance(motion, Wrapping):
+        require_touchable(motion.obstacle, Scene() if scene is None else scene)
+    if isinstance(motion, Carrying):
+        for name in motion.onto:
+            require_known("obstacle", name, {} if scene is None else scene.obstacles)
+
+
+def _held_before(before: Sequence[Phase]) -> str | None:
+    """Return the name of the object that the arm holds after some phases; None if it holds none."""
+    held: str | None = None
+    for phase in before:
+        if isinstance(phase.motion, Wrapping):
+            held = phase.motion.obstacle
+        elif isinstance(phase.motion, Release):
+            held = None
+    return held
 
 
 def _open_leader(before: Sequence[Phase]) -> Leader | None:
@@ -407,6 +488,7 @@ class _Planner:
         self._q = start
         self._pieces: list[Reference] = []
         self._inside: tuple[Leader, Reference] | None = None
+        self._grip: Grip | None = None
 
     def append(self, phases: Sequence[Phase], index: int) -> list[Reference]:
         """Plan a phase from the configuration in which the last one ended; return its pieces.
@@ -424,6 +506,12 @@ class _Planner:
                 self._reach(phase.motion, name)
             elif isinstance(phase.motion, Withdrawal):
                 self._withdraw(phase.motion, name)
+            elif isinstance(phase.motion, Wrapping):
+                self._wrap(phase.motion, name)
+            elif isinstance(phase.motion, Carrying):
+                self._carry(phase.motion, name)
+            elif isinstance(phase.motion, Release):
+                self._release(name)
             else:
                 self._take(phase.motion, name)
         return self._pieces[before:]
@@ -434,12 +522,16 @@ class _Planner:
         offsets = [np.zeros((1, self._arm.nv))]
         weights = [first.weights[:1]]
         waypoints: list[Waypoint] = []
+        held: list[HeldObject] = []
         for piece in self._pieces:
             row = sum(map(len, offsets)) - 1
+            held += [each.shifted(row) for each in piece.held]
             offsets.append(offsets[-1][-1] + piece.offsets[1:])
             weights.append(piece.weights[1:])
             waypoints += [waypoint._replace(row=waypoint.row + row) for waypoint in piece.waypoints]
         durations = np.concatenate([np.diff(piece.times) for piece in self._pieces])
+        if self._grip is not None:  # to the end
+            held[-1] = replace(held[-1], end=held[-1].end + 1)
         return Reference(
             arm=self._arm,
             interval=float(durations.min()),
@@ -448,6 +540,7 @@ class _Planner:
             weights=np.concatenate(weights),
             waypoints=tuple(waypoints),
             durations=durations,
+            held=tuple(held),
         )
 
     def _add(self, piece: Reference, name: str) -> None:
@@ -568,6 +661,40 @@ class _Planner:
         out = Waypoint("outside", entered.rows - 1, replace(target, curve=way.target.curve), way=way.way)
         self._inside = None
         self._add(replace(_in_reverse(entered), interval=slower * entered.interval, waypoints=(out,)), name)
+
+    def _wrap(self, wrapping: Wrapping, name: str) -> None:
+        scene = Scene() if self._scene is None else self._scene
+        grip = find_grip(self._arm, wrapping, scene, self._begin(), self._limits)
+        for way in grip.ways:
+            self._hold(grip, way, name, () if way == "approach" else grip.beside)
+        self._grip = grip
+
+    def _carry(self, carrying: Carrying, name: str) -> None:
+        grip = cast(Grip, self._grip)
+        middle = grip.scene.obstacles[grip.obstacle].pose(np.zeros(3)).translation
+        turn = pin.rpy.rpyToMatrix(*carrying.turn)
+        moved = pin.SE3(turn, np.array(carrying.position) - turn @ middle)
+        self._grip = carry(grip, moved, onto=carrying.onto)
+        self._hold(self._grip, "carry", name, sorted({*grip.beside, *carrying.onto}))
+
+    def _release(self, name: str) -> None:
+        grip = cast(Grip, self._grip)
+        opened = replace(grip, ways=opening_ways(grip))
+        for way in opened.ways:
+            self._hold(opened, way, name, grip.beside)
+        self._scene = grip.scene
+        self._grip = None
+
+    def _hold(self, grip: Grip, way: str, name: str, beside: Sequence[str]) -> None:
+        """Add a way of a grip, on which the object moves with the arm unless the arm approaches it."""
+        piece = self._along(path_through(grip.arm, grip.ways[way]), None, 0.0)
+        last = way in (list(grip.ways)[-1], "approach")
+        waypoints = (_waypoint("" if way != "approach" else way, piece),) if last else ()
+        if way != "approach":
+            frame = grip.arm.control_points[grip.first]
+            held = HeldObject(grip.obstacle, frame, begin=0, end=piece.rows - 1, beside=beside)
+            piece = replace(piece, held=(held,))
+        self._add(replace(piece, waypoints=waypoints), name)
 
     def _reversed(self, entered: Reference) -> list[Reference]:
         """Return the pieces since an insertion in reverse, the last first."""

@@ -16,6 +16,7 @@ from pinposture.control import EndEffector, Limits
 from pinposture.control.torque_limits import Overload, find_overload, require_held
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TaskError, warn_caller
+from pinposture.motion.held import HeldObject, Stages
 from pinposture.placement import Target
 from pinposture.placement.least_squares import CURVE_FIT, Samples, transported_turns
 from pinposture.placement.target import Moved, arm_axis
@@ -73,6 +74,7 @@ class Reference:
         durations: time from each row to the next, (N,) [s]; None if it is the interval. The interval is then
             the shortest of them.
         numbered: whether the waypoints are numbered keyframes, the first of them in the first row.
+        held: the obstacles that the arm holds on the way.
     """
 
     arm: Arm
@@ -83,6 +85,7 @@ class Reference:
     waypoints: tuple[Waypoint, ...] = ()
     durations: Array | None = None
     numbered: bool = False
+    held: tuple[HeldObject, ...] = ()
 
     def __post_init__(self) -> None:
         rows = len(self.offsets)
@@ -118,6 +121,11 @@ class Reference:
     def configuration(self, row: int) -> Array:
         """Return the configuration of a row, (nq,)."""
         return self.arm.integrate(self.start, self.offsets[row])
+
+    @cached_property
+    def stages(self) -> Stages:
+        """The scenes on the way: what the arm holds moves with it."""
+        return Stages(self.arm, self.held, self.configuration, self.rows)
 
 
 def off_curve(waypoint: Waypoint) -> float | None:
@@ -191,7 +199,9 @@ def posture_feasibility(
     found = []
     for waypoint in _named(reference):
         q = reference.configuration(waypoint.row)
-        room, pair = (None, None) if scene is None else _closest(arm, q, scene)
+        stage = reference.stages.number(waypoint.row)
+        around = None if scene is None else reference.stages.scene(stage, scene)
+        room, pair = (None, None) if around is None else _closest(arm, q, around)
         tip = tip_off(waypoint.tip, waypoint.target, arm.at(q))
         planned = float(reference.times[waypoint.row])
         moved = waypoint.target.moved

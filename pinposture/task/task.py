@@ -235,6 +235,9 @@ class Task:
         except PostureError as error:
             if isinstance(error, FileError) and error.path == document.path:
                 raise
+            reasons = error.reasons or (error,)
+            if _PHASE.match(str(reasons[0])):
+                raise document.together([_at_phase(document, each) for each in reasons]) from error
             raise document.fault((), str(error)) from error
 
     def save(self, path: str | Path) -> Path:
@@ -415,15 +418,20 @@ class Task:
                 )
             return document.fault(where or ("leader", "path"), message)
         if is_phased(self.motion):
-            found = _PHASE.match(message)
-            key_path: KeyPath = ("phases", int(found[1]) - 1) if found else ("phases",)
-            line = document.line(key_path)
-            return FileError(document.path, message if line is None else f"line {line}: {message}")
+            return _at_phase(document, error)
         if isinstance(error, InvalidValue) and error.name in ("repeat", "start"):
             return document.fault((error.name,), f"is {shown(error.value)}; allowed: {error.allowed}")
         number = _KEYFRAME.match(message)  # the message begins with its subject
         line = document.line(("keyframes", int(number[1]) - 1) if number else ("keyframes",))
         return FileError(document.path, message if line is None else f"line {line}: {message}")
+
+
+def _at_phase(document: Document, error: PostureError) -> FileError:
+    """Return the error of a phase, with its line."""
+    message = str(error)
+    found = _PHASE.match(message)
+    line = document.line(("phases", int(found[1]) - 1) if found else ("phases",))
+    return FileError(document.path, message if line is None else f"line {line}: {message}")
 
 
 def _as_tuple(name: str, values: object, allowed: str) -> tuple[Any, ...]:

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
+from math import isfinite
 from types import MappingProxyType
-from typing import NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 import pinocchio as pin
@@ -26,14 +27,17 @@ from pinposture._validation import (
     as_number,
     make_read_only,
     point,
+    require_finite,
     require_instance,
     require_known,
     require_positive,
+    require_whole,
 )
 from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.collision import Carried, CollisionModel, Scene
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.model import MOTION_TOLERANCE, Distances, Pair
+from pinposture.collision.obstacles import displaced
 from pinposture.collision.wrapping import MAX_TURNS, Winding, winding_around
 from pinposture.control import EndEffector, Hold, JointPath, Limits, Objective, assess_hold, plan, retime
 from pinposture.control.limits import cycle_of
@@ -42,8 +46,10 @@ from pinposture.control.tasks import link_axes
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, TaskError, raise_together
 from pinposture.motion import JointTrajectory
+from pinposture.motion.files import Format, check_arrays, register
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.target import arm_axis
+from pinposture.schema import CheckedBy, Declared, Text, declared
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -76,6 +82,43 @@ LARGEST_TURN = 0.3
 of them that counts as a jump to another posture [rad]."""
 
 
+LEAST_TURNS = 1e-3
+"""Smallest number of turns: the length of fewer is lost in rounding."""
+
+LEAST_SQUEEZE = 0.01
+LESS_SQUEEZE = 0.95
+"""Smallest share of a squeeze that is commanded where the arm would touch itself, and the steps to it."""
+
+
+def _as_turns(name: str, value: Any) -> float:
+    allowed = f"a number of {LEAST_TURNS:g} to {MAX_TURNS:g}, or the negative of one"
+    return as_number(name, value, allowed, lambda x: LEAST_TURNS <= abs(x) <= MAX_TURNS)
+
+
+def _as_share(name: str, value: Any) -> float:
+    return as_number(name, value, "a share from 0 to 1", lambda x: 0.0 <= x <= 1.0)
+
+
+@declared()
+class Wrapping(Declared):
+    """How an arm wraps around an object of a scene; see `wrap`.
+
+    Attributes:
+        obstacle: name of the object, which is touchable.
+        turns: number of turns about its axis; negative: clockwise.
+        friction: coefficient of friction between arm and object.
+        squeeze: share by which the wrapped joints are commanded to bend further than where they touch.
+
+    Raises:
+        InvalidValue: an invalid value.
+    """
+
+    obstacle: Text
+    turns: Annotated[float, CheckedBy(_as_turns)] = 1.0
+    friction: Annotated[float, CheckedBy(partial(require_positive, zero=True))] = 1.0
+    squeeze: Annotated[float, CheckedBy(_as_share)] = 0.1
+
+
 @dataclass(frozen=True, eq=False)
 class Grip:
     """An arm that is wrapped around an object, and the motions that lead there.
@@ -92,9 +135,9 @@ class Grip:
         winding: displacements from it to the wrap, the first of which is zero, (r, nv) [rad or m].
         touching: configuration in which all wrapped modules touch the object, (nq,).
         held: configuration to command for the arm to squeeze, (nq,).
-        displacement: displacement of the object since the scene was first described.
-        phases: the motions by name, each from rest to rest: "approach", "wind" and "squeeze", or "carry".
-        hold: how well the arm holds the object.
+        displacement: displacement of the object since it was wrapped, a homogeneous matrix, (4, 4), world
+            frame.
+        ways: configurations on the way by phase, (n, nq) each: "approach", "wind" and "squeeze", or "carry".
     """
 
     arm: Arm
@@ -107,22 +150,54 @@ class Grip:
     winding: Array
     touching: Array
     held: Array
-    displacement: pin.SE3
-    phases: Mapping[str, JointTrajectory]
-    hold: Hold
+    displacement: Array
+    ways: Mapping[str, Array]
 
     def __post_init__(self) -> None:
-        make_read_only(*vars(self).values())
+        make_read_only(*vars(self).values(), *self.ways.values())
 
     def __repr__(self) -> str:
         count = self.arm.n_modules - self.first - 1
         closed = "force closure" if self.hold.closed else "no force closure"
         return f"Grip({self.obstacle}, {count} modules, {closed}, up to {self.hold.mass:.3g} kg)"
 
+    @cached_property
+    def phases(self) -> Mapping[str, JointTrajectory]:
+        """The motions by phase, each from rest to rest within the limits."""
+        return MappingProxyType(
+            {name: _timed(path_through(self.arm, way), self.limits) for name, way in self.ways.items()}
+        )
+
     @property
     def motion(self) -> JointTrajectory:
         """All phases in one motion."""
         return JointTrajectory.joined(tuple(self.phases.values()))
+
+    @cached_property
+    def hold(self) -> Hold:
+        """How well the arm holds the object.
+
+        Raises:
+            WeightUnknown: masses of the arm that are not known.
+        """
+        within = WITHIN * self.arm.length
+        return assess_hold(self.arm, self.touching, self.scene, self.obstacle, self.friction, within)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the results as JSON-compatible data [m, s, kg]."""
+        hold = self.hold
+        return {
+            "kind": "grip",
+            "obstacle": self.obstacle,
+            "modules": self.arm.n_modules - self.first - 1,
+            "first": self.arm.control_points[self.first],
+            "friction": self.friction,
+            "contacts": len(hold.bodies),
+            "force_closure": hold.closed,
+            "mass": hold.mass if isfinite(hold.mass) else None,
+            "displacement": self.displacement.tolist(),
+            "durations": {name: motion.duration for name, motion in self.phases.items()},
+        }
 
     @cached_property
     def carrying(self) -> Scene:
@@ -132,9 +207,14 @@ class Grip:
 
         The object need not keep clear of what it stands on here, or is within the margin of.
         """
+        return self._carrying(self.beside)
+
+    @cached_property
+    def beside(self) -> tuple[str, ...]:
+        """Names of the obstacles that the object stands on, or is within the margin of."""
         pairs = self._near(self.touching).pairs
-        beside = {other for body, other in pairs if body == self.obstacle and other in self.scene.obstacles}
-        return self._carrying(tuple(sorted(beside)))
+        near = {other for body, other in pairs if body == self.obstacle and other in self.scene.obstacles}
+        return tuple(sorted(near))
 
     def _carrying(self, beside: Sequence[str]) -> Scene:
         """Return the scene in which the arm carries the object, beside some obstacles."""
@@ -187,7 +267,8 @@ def wrap(
         turns: number of turns about the axis of the object, rounded up to whole modules; counterclockwise
             seen from the tip of the axis, negative: clockwise.
         friction: coefficient of friction, for the assessment of the hold.
-        squeeze: share by which the wrapped joints are commanded to bend further than where they touch.
+        squeeze: share by which the wrapped joints are commanded to bend further than where they touch; less
+            where they reach a limit, or the commanded arm would come too near to itself or to others.
 
     Raises:
         UnknownName: there is no such obstacle.
@@ -197,48 +278,76 @@ def wrap(
     """
     require_instance("arm", arm, Arm, "an Arm")
     require_instance("scene", scene, Scene, "a Scene(...)")
+    wrapping = Wrapping(obstacle, turns=turns, friction=friction, squeeze=squeeze)
+    require_touchable(obstacle, scene)
+    start = arm.checked_start(q0, "q0")
+    cycle_of(limits)
+    if limits.acceleration is None:
+        raise InvalidValue("limits.acceleration", None, "a limit of acceleration")
+    arm.require_masses()
+    return find_grip(arm, wrapping, scene, start, limits)
+
+
+def require_touchable(obstacle: str, scene: Scene) -> None:
+    """Refuse an obstacle that a scene lacks, or that the arm may not touch there."""
     require_known("obstacle", obstacle, scene.obstacles)
     if obstacle not in scene.touchable:
         raise InvalidValue(
             "obstacle", obstacle, f"one that may be touched: Scene(..., touchable=[{obstacle!r}])"
         )
-    start = arm.checked_start(q0, "q0")
-    cycle_of(limits)
-    if limits.acceleration is None:
-        raise InvalidValue("limits.acceleration", None, "a limit of acceleration")
-    turns = as_number("turns", turns, "a number other than 0", lambda x: 0.0 < abs(x) <= MAX_TURNS)
-    require_positive("friction", friction, zero=True)
-    squeeze = as_number("squeeze", squeeze, "a share from 0 to 1", lambda x: 0.0 <= x <= 1.0)
-    found = _Wrap(arm, obstacle, scene, turns).find(start)
+
+
+def find_grip(arm: Arm, wrapping: Wrapping, scene: Scene, start: Array, limits: Limits) -> Grip:
+    """Find how an arm wraps around an object, from a configuration, (nq,); as `wrap`."""
+    obstacle = wrapping.obstacle
+    found = _Wrap(arm, obstacle, scene, wrapping.turns).find(start)
     way = found.winding
     touching = arm.integrate(found.opened, way[-1])
     bent = np.where(_holds(arm, found.first), way[-1], 0.0)
-    held = _within_limits(arm, arm.integrate(touching, squeeze * bent))
+    held = _squeezed(arm, scene, obstacle, touching, wrapping.squeeze * bent)
     goal = Target.from_configuration(arm, found.opened)
     approach = plan(arm.at(start), goal, _untouchable(scene, obstacle), limits)
     if approach.blocked_by:
         raise TaskError(_where(obstacle), f"the way to where it begins is blocked: {approach.blocked_by}")
-    phases = {
-        "wind": _motion(arm, arm.integrate(found.opened, way), limits),
-        "squeeze": _motion(arm, np.array([touching, held]), limits),
-    }
+    ways = {"wind": arm.integrate(found.opened, way), "squeeze": np.array([touching, held])}
     if approach.length > 0.0:
-        phases = {"approach": _timed(approach, limits), **phases}
+        ways = {"approach": approach.configurations, **ways}
     return Grip(
         arm=arm,
         scene=scene,
         obstacle=obstacle,
         limits=limits,
-        friction=float(friction),
+        friction=wrapping.friction,
         first=found.first,
         opened=found.opened,
         winding=way,
         touching=touching,
         held=held,
-        displacement=pin.SE3.Identity(),
-        phases=MappingProxyType(phases),
-        hold=assess_hold(arm, touching, scene, obstacle, friction, WITHIN * arm.length),
+        displacement=np.eye(4),
+        ways=MappingProxyType(ways),
     )
+
+
+def _squeezed(arm: Arm, scene: Scene, obstacle: str, touching: Array, further: Array) -> Array:
+    """Return a configuration that is commanded to squeeze, (nq,).
+
+    Args:
+        arm: the arm.
+        scene: the scene.
+        obstacle: name of the object.
+        touching: the configuration that touches it, (nq,).
+        further: displacement beyond it, (nv,) [rad or m]; it is cut short where joint limits, or the margin
+            to all but the object, are reached.
+    """
+    others = {name: each for name, each in scene.obstacles.items() if name != obstacle}
+    model = CollisionModel(arm, scene.with_obstacles(others))
+    share = 1.0
+    while share > LEAST_SQUEEZE:
+        held = _within_limits(arm, arm.integrate(touching, share * further))
+        if model.minimum_between(touching, arm.difference(touching, held)).distance >= scene.margin:
+            return held
+        share *= LESS_SQUEEZE
+    return touching
 
 
 def carry(grip: Grip, displacement: pin.SE3 | ArrayLike, *, onto: Sequence[str] = ()) -> Grip:
@@ -266,7 +375,7 @@ def carry(grip: Grip, displacement: pin.SE3 | ArrayLike, *, onto: Sequence[str] 
     """
     require_instance("grip", grip, Grip, "a Grip, as pp.wrap(...) returns it")
     arm = grip.arm
-    motion = displacement
+    motion: pin.SE3 = displacement
     if not isinstance(displacement, pin.SE3):
         motion = pin.SE3(np.eye(3), np.array(point("displacement", displacement)))
     require_instance("onto", onto, list | tuple, "a list of names of obstacles")
@@ -290,7 +399,8 @@ def carry(grip: Grip, displacement: pin.SE3 | ArrayLike, *, onto: Sequence[str] 
         rows.append(state.q)
     held = rows[-1]
     touching = arm.integrate(held, loose)
-    scene = grip.scene.moved({grip.obstacle: motion * grip.displacement})
+    there = displaced(grip.scene.obstacles[grip.obstacle], motion)
+    scene = replace(grip.scene, obstacles={**grip.scene.obstacles, grip.obstacle: there})
     opened, winding = _opened_elsewhere(grip, touching, motion)
     return replace(
         grip,
@@ -299,9 +409,8 @@ def carry(grip: Grip, displacement: pin.SE3 | ArrayLike, *, onto: Sequence[str] 
         winding=winding,
         touching=touching,
         held=held,
-        displacement=motion * grip.displacement,
-        phases=MappingProxyType({"carry": _motion(arm, np.array(rows), grip.limits)}),
-        hold=assess_hold(arm, touching, scene, grip.obstacle, grip.friction, WITHIN * arm.length),
+        displacement=motion.homogeneous @ grip.displacement,
+        ways=MappingProxyType({"carry": np.array(rows)}),
     )
 
 
@@ -382,11 +491,7 @@ def unwrap(grip: Grip, q_end: ArrayLike | None = None) -> JointTrajectory:
     """
     require_instance("grip", grip, Grip, "a Grip, as pp.wrap(...) returns it")
     arm = grip.arm
-    closest = CollisionModel(arm, grip.scene).minimum_on_motions(grip.opened, grip.winding)
-    if closest.pair is not None and closest.distance < grip.scene.margin:
-        raise TaskError(f"unwrap {grip.obstacle!r}", f"as it opens, {_too_close(closest.pair)}")
-    way = arm.integrate(grip.opened, grip.winding)
-    release = _motion(arm, np.vstack([grip.held[None], way[::-1]]), grip.limits)
+    release = replace(grip, ways=opening_ways(grip)).motion
     if q_end is None:
         return release
     end = arm.checked_start(q_end, "q_end")
@@ -397,6 +502,20 @@ def unwrap(grip: Grip, q_end: ArrayLike | None = None) -> JointTrajectory:
     if path.length == 0.0:
         return release
     return JointTrajectory.joined([release, _timed(path, grip.limits)])
+
+
+def opening_ways(grip: Grip) -> dict[str, Array]:
+    """Return the ways from an object that is held to where the arm stands off, as `Grip.ways`.
+
+    Raises:
+        TaskError: the way is blocked; says by what.
+    """
+    arm = grip.arm
+    closest = CollisionModel(arm, grip.scene).minimum_on_motions(grip.opened, grip.winding)
+    if closest.pair is not None and closest.distance < grip.scene.margin:
+        raise TaskError(f"unwrap {grip.obstacle!r}", f"as it opens, {_too_close(closest.pair)}")
+    opening = arm.integrate(grip.opened, grip.winding)[::-1]
+    return {"loosen": np.array([grip.held, grip.touching]), "open": opening}
 
 
 def _where(obstacle: str) -> str:
@@ -441,10 +560,10 @@ def _displacements(motion: pin.SE3, middle: Array, size: float) -> Iterator[tupl
         yield float(share), pin.SE3(rotation, middle + share * way - rotation @ middle)
 
 
-def _motion(arm: Arm, rows: Array, limits: Limits) -> JointTrajectory:
-    """Return the motion through configurations, (n, nq), at rest at both ends."""
+def path_through(arm: Arm, rows: Array) -> JointPath:
+    """Return the path through configurations, (n, nq)."""
     objective = Objective(arm, Target.from_configuration(arm, rows[-1]))
-    return _timed(JointPath(objective, rows[0], _offsets(arm, rows)), limits)
+    return JointPath(objective, rows[0], _offsets(arm, rows))
 
 
 def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
@@ -663,3 +782,24 @@ def _continued(winding: Winding, share: float, wrapped: float) -> Array:
     heading = cut[-1] - cut[-2] if len(cut) > 1 else winding.heading
     beyond = np.arange(1.0, 1.1 * wrapped / winding.spacing) * winding.spacing
     return np.vstack([cut, cut[-1] + beyond[:, None] * heading / np.linalg.norm(heading)])
+
+
+def _check(grip: Grip) -> None:
+    """Raise an error unless the parts of a grip fit each other."""
+    arm = grip.arm
+    require_known("obstacle", grip.obstacle, grip.scene.obstacles)
+    require_whole("first", grip.first, 0)
+    if grip.first >= arm.n_modules - 1:
+        raise InvalidValue("first", grip.first, f"an index below {arm.n_modules - 1}")
+    shapes: dict[str, tuple[int, ...]] = {name: (arm.nq,) for name in ("opened", "touching", "held")}
+    given = vars(grip) | {f"way {name}": way for name, way in grip.ways.items()}
+    shapes |= {f"way {name}": (len(way), arm.nq) for name, way in grip.ways.items()}
+    shapes |= {"winding": (len(grip.winding), arm.nv), "displacement": (4, 4)}
+    check_arrays(given, shapes)
+    for name in shapes:
+        require_finite(name, given[name])
+    cycle_of(grip.limits)
+    require_positive("friction", grip.friction, zero=True)
+
+
+register(Format("pinposture-grip", 1, Grip, "grip", _check))

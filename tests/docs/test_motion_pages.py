@@ -12,7 +12,8 @@ import pytest
 
 import pinposture as pp
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 
 
 def snippets(page: str, language: str) -> list[str]:
@@ -46,7 +47,7 @@ def test_every_snippet_in_python_or_toml_is_known_here() -> None:
     languages = ("python", "toml", "csv", "json")
     counts = {page: [len(snippets(page, name)) for name in languages] for page in pages}
     assert counts == {
-        "tasks.md": [4, 3, 0, 0],
+        "tasks.md": [4, 4, 0, 0],
         "trajectories.md": [1, 0, 1, 1],
         "follow_leader.md": [1, 0, 0, 0],
         "physics.md": [2, 0, 0, 0],
@@ -105,6 +106,17 @@ def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> No
     (in_a_folder / "snake.urdf").write_text(loaded.arm.urdf)
     file.write_text(re.sub(r"\[arm\].*?\n\n", '[arm]\nurdf = "snake.urdf"\n\n', text, flags=re.DOTALL))
     assert pp.Task.load(file).arm.nv == 40
+
+
+def test_the_phases_of_a_hand_on_the_page_are_read() -> None:
+    example = (ROOT / "examples" / "tasks" / "wrap.toml").read_text().split("[[phases]]")[0]
+    shown = snippets("tasks.md", "toml")[3]
+    assert "wrap = {" in shown
+    file = Path("shown.toml")
+    file.write_text(example + shown)
+    phases = pp.Task.load(file).motion
+    assert [each.name for each in phases] == ["grasp", "lift", "down", "let go"]
+    assert phases[2].motion.turn[2] == pytest.approx(np.pi / 2.0)
 
 
 @pytest.mark.long

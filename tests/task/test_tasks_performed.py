@@ -48,18 +48,26 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Done]:
         "around": done(folder / "around.toml", ("20 ms", "40 ms")),
         "pipe": done(folder / "pipe.toml", *shorter),
         "inspection": done(folder / "inspection.toml", ("50 ms", "100 ms")),
+        "wrap": done(folder / "wrap.toml", ("20 ms", "50 ms")),
     }
 
 
 # From the files, in SI units, for the joints that turn and the one that slides.
-SPEEDS = {"keyframes": (np.pi / 2, None), "around": (2.0, None), "pipe": (2.0, 0.1), "inspection": (1.0, 0.1)}
+SPEEDS = {
+    "keyframes": (np.pi / 2, None),
+    "around": (2.0, None),
+    "pipe": (2.0, 0.1),
+    "inspection": (1.0, 0.1),
+    "wrap": (1.0, None),
+}
 ACCELERATIONS = {
     "keyframes": (2 * np.pi, None),
     "around": (10.0, None),
     "pipe": (2.0, 1.0),
     "inspection": (4.0, 1.0),
+    "wrap": (2.0, None),
 }
-NAMES = ("keyframes", "around", "pipe", "inspection")
+NAMES = ("keyframes", "around", "pipe", "inspection", "wrap")
 
 
 def test_every_example_is_tested() -> None:

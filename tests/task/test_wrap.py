@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -12,7 +13,7 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.errors import InvalidValue, TaskError, UnknownName
+from pinposture.errors import FileError, InvalidValue, TaskError, UnknownName
 
 LIMITS = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=2.0)
 CAN = pp.Cylinder((0.42, 0.12, -0.12), (0.42, 0.12, 0.12), 0.06)
@@ -106,9 +107,8 @@ def test_what_is_wrapped_moves_with_the_object(displacement):
         np.testing.assert_allclose(
             np.linalg.norm(points - points[0], axis=1), np.linalg.norm(before - before[0], axis=1), atol=2e-5
         )
-    assert pp.carry(carried, (0.0, 0.0, -0.05)).displacement.translation[2] == pytest.approx(
-        carried.displacement.translation[2] - 0.05
-    )
+    lower = pp.carry(carried, (0.0, 0.0, -0.05))
+    assert lower.displacement[2, 3] == pytest.approx(carried.displacement[2, 3] - 0.05)
 
 
 @pytest.mark.long
@@ -203,7 +203,7 @@ def test_an_arm_does_not_open_into_an_obstacle():
         *(({name: np.nan}, InvalidValue, name) for name in ("turns", "friction", "squeeze")),
         *(({name: "x"}, InvalidValue, name) for name in ("turns", "friction", "squeeze", "scene", "limits")),
         ({"turns": 1e200}, InvalidValue, "turns"),
-        ({"obstacle": 3}, UnknownName, "3"),
+        ({"obstacle": 3}, InvalidValue, "obstacle"),
         (
             {"scene": pp.Scene({"it": pp.Sphere((1.5, 0, 0), 0.05)}, touchable=["it"])},
             TaskError,
@@ -242,6 +242,46 @@ def test_displacements_and_ends_that_are_none_are_refused(bad):
     if bad is not None:
         with pytest.raises(InvalidValue, match="q_end"):
             pp.unwrap(grip(), bad)
+
+
+@pytest.mark.long
+def test_a_grip_is_saved_with_all_that_carrying_needs(tmp_path):
+    held = pp.carry(grip(), (0.0, 0.0, 0.1))
+    for each in (grip(), held):
+        again = pp.load(pp.save(each, tmp_path / "grip"))
+        assert isinstance(again, pp.Grip)
+        assert again.scene == each.scene
+        assert repr(again) == repr(each)
+        assert json.dumps(again.summary()) == json.dumps(each.summary())
+        for name, motion in each.phases.items():
+            np.testing.assert_array_equal(again.phases[name].positions, motion.positions)
+        ended = [pp.carry(g, (0.02, 0.0, 0.02)).motion.positions for g in (each, again)]
+        np.testing.assert_array_equal(*ended)
+        ended = [pp.unwrap(g).positions for g in (each, again)]
+        np.testing.assert_array_equal(*ended)
+    told = held.summary()
+    assert told["modules"] == held.arm.n_modules - held.first - 1
+    assert told["displacement"][2][3] == pytest.approx(0.1)
+    assert told["mass"] == held.hold.mass
+    with pytest.raises(FileError, match="pinposture-run"):
+        pp.load(tmp_path / "grip.npz", pp.Run)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"first": 19}, "first"),
+        ({"obstacle": "nothing"}, "nothing"),
+        ({"held": np.zeros(3)}, "held"),
+        ({"ways": {"wind": np.full((2, 40), np.nan)}}, "way wind"),
+        ({"friction": -1.0}, "friction"),
+    ],
+)
+def test_a_damaged_grip_is_refused_by_name(changes, named, tmp_path):
+    file = pp.save(replace(grip(), **changes), tmp_path / "grip.npz")
+    with pytest.raises(FileError, match=named):
+        pp.load(file)
 
 
 def test_motions_that_do_not_meet_are_refused():

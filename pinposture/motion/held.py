@@ -1,0 +1,111 @@
+"""Objects that an arm holds on a part of a motion, and the scenes in its rows."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.collision import Carried, Scene
+from pinposture.collision.bodies import frame_pose
+from pinposture.collision.obstacles import displaced
+from pinposture.collision.scene import as_names
+from pinposture.schema import CheckedBy, Declared, Text, WholeNumber, declared
+
+Array = NDArray[np.float64]
+
+
+@declared()
+class HeldObject(Declared):
+    """An obstacle that the arm holds in some rows of a motion.
+
+    Attributes:
+        obstacle: its name.
+        frame: the link, control point or joint with which it moves, by name.
+        begin: the first row in which the arm holds it.
+        end: the row in which it no longer does, or holds it beside others; the number of rows if it does at
+            the end.
+        beside: names of the obstacles of which it need not keep clear.
+    """
+
+    obstacle: Text
+    frame: Text
+    begin: WholeNumber
+    end: WholeNumber
+    beside: Annotated[Sequence[str], CheckedBy(as_names)] = ()
+
+    def shifted(self, rows: int) -> HeldObject:
+        """Return it in a motion that has so many more rows before."""
+        return replace(self, begin=self.begin + rows, end=self.end + rows)
+
+
+class Stage(NamedTuple):
+    """A part of a motion in which the same is held.
+
+    Attributes:
+        row: its first row.
+        moved: displacements of obstacles since the start, by name, world frame.
+        carried: how the arm carries obstacles, by name.
+    """
+
+    row: int
+    moved: Mapping[str, pin.SE3]
+    carried: Mapping[str, Carried]
+
+    def scene(self, scene: Scene) -> Scene:
+        """Return a scene in this stage, given that at the start; it may lack obstacles."""
+        obstacles = dict(scene.obstacles)
+        for name in self.moved.keys() & obstacles.keys():
+            obstacles[name] = displaced(obstacles[name], self.moved[name])
+        held = {
+            name: replace(each, beside=[other for other in each.beside if other in obstacles])
+            for name, each in self.carried.items()
+            if name in obstacles
+        }
+        return replace(scene, obstacles=obstacles, carried={**scene.carried, **held})
+
+
+class Stages:
+    """The scenes in the rows of a motion in which the arm holds objects.
+
+    Args:
+        arm: the arm.
+        held: what it holds, in order.
+        configuration: returns the configuration in a row, (nq,).
+        rows: number of rows.
+    """
+
+    def __init__(
+        self, arm: Arm, held: Sequence[HeldObject], configuration: Callable[[int], Array], rows: int
+    ) -> None:
+        stages = [Stage(0, {}, {})]
+        for each in held:
+            taken = frame_pose(arm, configuration(each.begin), each.frame)
+            left = frame_pose(arm, configuration(min(each.end, rows - 1)), each.frame)
+            before = stages[-1].moved
+            carried = Carried(each.frame, taken.translation, taken.rotation, each.beside)
+            stages.append(Stage(each.begin, before, {each.obstacle: carried}))
+            moved = left * taken.inverse() * before.get(each.obstacle, pin.SE3.Identity())
+            stages.append(Stage(each.end, {**before, each.obstacle: moved}, {}))
+        self._stages = stages
+        self._rows = [each.row for each in stages]
+        self._scenes: dict[tuple[int, Scene], Scene] = {}
+
+    def number(self, row: float) -> int:
+        """Return the number of the stage in which a row is, or a place between rows."""
+        return bisect_right(self._rows, row) - 1
+
+    def scene(self, number: int, scene: Scene) -> Scene:
+        """Return a scene in a stage by number, given that at the start."""
+        if number == 0:
+            return scene
+        known = self._scenes.get((number, scene))
+        if known is None:
+            known = self._scenes[number, scene] = self._stages[number].scene(scene)
+        return known
