@@ -192,9 +192,9 @@ def save(result: Any, path: str | Path) -> Path:
     """Write a result to a file atomically.
 
     A `Run`, `Trajectory`, `Batch`, `Simulation`, `Grip` or `Map` is written as a `.npz` archive that includes
-    the arm, the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is lossless;
-    ".csv" omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`, with times
-    in whole nanoseconds, as are ".yaml" and ".yml", with the same text.
+    the arm, the curves and the scene. The suffix selects the format of a `JointTrajectory`: ".npz" is
+    lossless; ".csv" omits the name of the robot; ".json" is a ROS 2 `trajectory_msgs/msg/JointTrajectory`,
+    with times in whole nanoseconds, as are ".yaml" and ".yml", with the same text.
 
     Args:
         result: the result.
