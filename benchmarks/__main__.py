@@ -39,6 +39,7 @@ SCRIPTS = (
     "ros2",
     "scan_obstacles",
     "soak",
+    "steering",
     "switching",
     "thesis_claims",
     "torque_limits",

@@ -453,6 +453,7 @@ EXAMPLES = {
     "15_your_own_constraint": "out/your_own_constraint/angles.png",
     "16_weight": "out/weight/straight.png",
     "19_wrap": "out/wrap/lifted.png",
+    "20_steering": "out/steering/arm.png",
 }
 """The figure that each example of the tutorial saves."""
 

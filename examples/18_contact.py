@@ -36,7 +36,7 @@ print(refused.verdict)
 # A post that the tracker does not know of: it stops where a torque is not that of weight and motion.
 post = pp.Scene({"post": pp.Cylinder((0.3, 0.07, -0.5), (0.3, 0.07, 0.5), 0.02)})
 gravity = np.abs(arm.at(arm.straight()).gravity_torques).max()
-for touch in (None, pp.Touch(threshold=0.2 * gravity), pp.Touch(threshold=0.2 * gravity, reaction="yield")):
+for touch in (None, pp.Touch(), pp.Touch(reaction="yield")):
     tracker = pp.Tracker(arm, limits=limits, touch=touch)
     felt = simulate_closed(
         arm,

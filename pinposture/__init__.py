@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from pinposture.task.keyframes import keyframe_reference
     from pinposture.task.perform import move_through, perform
     from pinposture.task.phases import Carrying, Phase, Release, TipGoal, Withdrawal
+    from pinposture.task.steering import Steering
     from pinposture.task.task import Task
     from pinposture.task.wrap import Grip, Wrapping, carry, unwrap, wrap
     from pinposture.viz import animate, plot, plot_arm, plot_comparison, save_html, view
@@ -123,6 +124,7 @@ __all__ = [
     "Scene",
     "Selection",
     "Sphere",
+    "Steering",
     "Step",
     "Support",
     "Switching",
@@ -248,6 +250,7 @@ _PACKAGES = {
         "Leader",
         "Phase",
         "Release",
+        "Steering",
         "Task",
         "TipGoal",
         "Withdrawal",

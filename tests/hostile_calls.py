@@ -60,6 +60,12 @@ def a_path() -> Any:
     return pp.plan(an_arm().at(an_arm().straight()), a_target())
 
 
+@cache
+def a_fed_arm() -> pp.Arm:
+    slide = pp.ModuleTemplate("Feed", (pp.JointSpec("x", "prismatic", 0.0, 0.3),), (0.03,))
+    return pp.Arm.from_modules([slide, *[pp.template("RyRz")] * 3])
+
+
 def a_log() -> pp.Log:
     times = 0.05 * np.arange(60)
     sent = 0.5 * np.sin(3.0 * times[:, None] + np.arange(6))
@@ -254,6 +260,9 @@ def examples() -> dict[str, Any]:
         "joint_names": ("a", "b"),
         "JointTrajectory.from_positions.positions": np.zeros((3, 2)),
         "log": a_log(),
+        "Steering.arm": a_fed_arm(),
+        "Steering.start": None,
+        "Steering.curvature": (1.0, -2.0),
         "Tracker.drives": DriveModel(),
         "Tracker.touch": pp.Touch(threshold=0.5),
         "threshold": 0.5,
@@ -352,6 +361,7 @@ SUBJECTS: dict[str, Callable[[], Any]] = {
     "Scan": lambda: pp.Scan(examples()["Scan.points"]),
     "Scene": lambda: examples()["scene"],
     "Selection": pp.Selection,
+    "Steering": lambda: pp.Steering(a_fed_arm(), examples()["limits"]),
     "Sphere": lambda: pp.Sphere((0.1, 0.3, 0.2), 0.05),
     "Switching": pp.Switching,
     "Tangents": lambda: pp.Tangents(np.array([(1.0, 0.0, 0.0)] * 3)),

@@ -7,6 +7,7 @@ from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import move_through, perform
 from pinposture.task.phases import Carrying, Phase, Release, TipGoal, Withdrawal
 from pinposture.task.reference import Reference, Waypoint
+from pinposture.task.steering import Steering
 from pinposture.task.task import Task
 from pinposture.task.wrap import Grip, Wrapping, carry, unwrap, wrap
 
@@ -19,6 +20,7 @@ __all__ = [
     "Phase",
     "Reference",
     "Release",
+    "Steering",
     "Task",
     "TipGoal",
     "Waypoint",

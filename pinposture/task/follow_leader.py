@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -385,21 +386,43 @@ class SequentialPlacement:
         return positions
 
 
-class ClosestPlacement:
-    """The whole arm as close to the route as possible: least squares over the ends of all links.
+class Followed(Protocol):
+    """What the body of an arm on a feed can follow, from its first joint at the start on: a `Curve`, say."""
 
-    The distances across the route are minimised from one depth to the next by a few Gauss-Newton steps within
+    @property
+    def length(self) -> float:
+        """Its length [m]."""
+
+    def at(self, s: Array, /) -> Array:
+        """Return the points at arc lengths (n,) [m], (n, 3) [m], world frame."""
+
+    def tangent(self, s: Array, /) -> Array:
+        """Return the unit tangents at arc lengths (n,) [m], (n, 3)."""
+
+
+class ClosestPlacement:
+    """The whole arm as close to a path as possible: least squares over the ends of all links.
+
+    The distances across the path are minimised from one depth to the next by a few Gauss-Newton steps within
     the joint limits. The arc length at the end of a link follows from the links and the depth.
+
+    Attributes:
+        depth: how far the feed has moved [m].
+        positions: the joint positions of the body there, (nv - 1,) [rad or m].
+
+    Args:
+        fed: the arm.
+        path: the path.
     """
 
-    def __init__(self, route: Route) -> None:
-        fed = route.fed
-        self._route = route
+    def __init__(self, fed: FedArm, path: Followed) -> None:
+        self._fed = fed
+        self._path = path
         ends = np.vstack([fed.links.chain.base, fed.links.chain.points])
         lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
         self._s = np.cumsum(lengths)
-        self._depth = 0.0
-        self._positions: Array = fed.straight.copy()
+        self.depth = 0.0
+        self.positions: Array = fed.straight.copy()
         self._bending = (BENDING_WEIGHT * float(lengths.mean()) / fed.body.joint_units) ** 2
 
     def place(self, depth: float) -> Array:
@@ -407,29 +430,47 @@ class ClosestPlacement:
 
         Raises:
             CurveBendsTooMuch: a link is too far off; modules are those of the body, arc length is along the
-                route.
+                path.
         """
-        self._s = self._s + (depth - self._depth)
-        self._depth = depth
+        self._s = self._s + (depth - self.depth)
+        self.depth = depth
         for _ in range(MAX_GAUSS_NEWTON_STEPS):
             step = self._step()
-            self._positions = self._positions + step
-            if np.abs(step / self._route.fed.body.joint_units).max() < GAUSS_NEWTON_TOLERANCE:
+            self.positions = self.positions + step
+            if np.abs(step / self._fed.body.joint_units).max() < GAUSS_NEWTON_TOLERANCE:
                 break
         self._check_distances()
-        return self._positions
+        return self.positions
+
+    def on(self, path: Followed) -> ClosestPlacement:
+        """Return a placement that goes on from this one, on a path that differs ahead of the arm."""
+        other = copy(self)  # arrays are replaced, never written to
+        other._path = path
+        return other
+
+    @property
+    def tip(self) -> float:
+        """Arc length of the path at the tip [m]."""
+        return float(self._s[-1])
+
+    @property
+    def distances(self) -> Array:
+        """Distances of the ends of links from the path, (n,) [m]."""
+        fed = self._fed
+        ends = fed.links.chain_at(fed.links.configuration(self.positions)).points + self.depth * fed.axis
+        return np.asarray(np.linalg.norm(self._path.at(self._s) - ends, axis=1))
 
     def _step(self) -> Array:
-        fed = self._route.fed
-        route = self._route.whole
-        x = self._positions
+        fed = self._fed
+        path = self._path
+        x = self.positions
         state = fed.links.chain_at(fed.links.configuration(x))
-        points = state.points + self._depth * fed.axis
-        for _ in range(2):  # the nearest points on the route
-            ahead = np.einsum("ij,ij->i", points - route.at(self._s), route.tangent(self._s))
-            self._s = np.clip(self._s + ahead, 0.0, route.length)
-        gaps = route.at(self._s) - points
-        tangents = route.tangent(self._s)
+        points = state.points + self.depth * fed.axis
+        for _ in range(2):  # the nearest points on the path
+            ahead = np.einsum("ij,ij->i", points - path.at(self._s), path.tangent(self._s))
+            self._s = np.clip(self._s + ahead, 0.0, path.length)
+        gaps = path.at(self._s) - points
+        tangents = path.tangent(self._s)
         along = np.einsum("ij,ijk->ik", tangents, state.jacobians)
         across = (state.jacobians - tangents[:, :, None] * along[:, None, :]).reshape(-1, len(x))
         error = (gaps - tangents * np.einsum("ij,ij->i", gaps, tangents)[:, None]).ravel()
@@ -438,9 +479,8 @@ class ClosestPlacement:
         return _bounded_step(hessian, gradient, fed.body.limits.lower - x, fed.body.limits.upper - x)
 
     def _check_distances(self) -> None:
-        fed = self._route.fed
-        ends = fed.links.chain_at(fed.links.configuration(self._positions)).points + self._depth * fed.axis
-        distances = np.linalg.norm(self._route.whole.at(self._s) - ends, axis=1)
+        fed = self._fed
+        distances = self.distances
         allowed = MAX_LINK_DISTANCE * fed.length / fed.body.n_modules
         if distances.max() <= allowed:
             return
@@ -561,7 +601,7 @@ def follow_leader(
     deepest = _depth(route, depth)
     depths, interval = advance(deepest, speed, interval, stride)
     placing: ClosestPlacement | SequentialPlacement
-    placing = ClosestPlacement(route) if method == "closest" else SequentialPlacement(route)
+    placing = ClosestPlacement(fed, route.whole) if method == "closest" else SequentialPlacement(route)
     offsets = np.zeros((len(depths), arm.nv))
     for row, at in enumerate(depths):
         try:
@@ -668,6 +708,13 @@ def _last_row(way: FollowedPath, begin: Array, name: str, offsets: Array) -> Way
     return Waypoint(name, len(offsets) - 1, target, way=way)
 
 
+def allowed_deviation(fed: FedArm, curvature: float) -> float:
+    """Return how far a part of an arm may be from a path of some largest curvature [1/m], [m]."""
+    link = float(fed.links.chain.module_lengths.max())
+    share = np.clip(DEVIATION_PER_BENDING * curvature * link, MIN_DEVIATION, MAX_DEVIATION)
+    return link * float(share)
+
+
 def _require_near(route: Route, deviation: Deviation, depths: Array, method: str) -> None:
     """Refuse postures that are farther from the route than links that follow it have to be.
 
@@ -676,9 +723,8 @@ def _require_near(route: Route, deviation: Deviation, depths: Array, method: str
     """
     fed = route.fed
     path = route.path
-    link = float(fed.links.chain.module_lengths.max())
     bend = float(path.curvature(np.linspace(0.0, path.length, CURVATURE_SAMPLES)).max())
-    allowed = link * float(np.clip(DEVIATION_PER_BENDING * bend * link, MIN_DEVIATION, MAX_DEVIATION))
+    allowed = allowed_deviation(fed, bend)
     if deviation.largest <= allowed:
         return
     where = float(deviation.where[deviation.row])

@@ -49,7 +49,7 @@ def test_every_snippet_in_python_or_toml_is_known_here() -> None:
     assert counts == {
         "tasks.md": [4, 4, 0, 0],
         "trajectories.md": [1, 0, 1, 1],
-        "follow_leader.md": [1, 0, 0, 0],
+        "follow_leader.md": [2, 0, 0, 0],
         "physics.md": [2, 0, 0, 0],
     }
 
@@ -181,15 +181,17 @@ def test_a_motion_in_three_formats(in_a_folder: Path) -> None:
 
 
 def test_follow_the_leader_in_python(capsys: pytest.CaptureFixture) -> None:
-    (code,) = snippets("follow_leader.md", "python")
+    code, steered = snippets("follow_leader.md", "python")
     for long, short in (
         ("] * 20", "] * 6"),
         ("interval=0.1, speed=0.05", "interval=0.4, speed=0.05, depth=0.1"),
     ):
         assert long in code
         code = code.replace(long, short)
-    assert run(code.replace("dt=0.1", "dt=0.4"))["motion"].converged
+    known = run(code.replace("dt=0.1", "dt=0.4"))
+    assert known["motion"].converged
     assert np.isfinite(float(capsys.readouterr().out))
+    assert run(steered, **known)["steering"].depth > 0.1
 
 
 @pytest.mark.long
