@@ -288,7 +288,7 @@ class Steering:
         end = max(self._posture.placement.tip, begin + self.depth)  # links that cut bends short lead or lag
         interval = float(self._fed.links.chain.module_lengths.mean()) / STEERING.samples
         count = max(int(np.ceil((end - begin) / interval)), 4)
-        s = begin + (end - begin) / count * np.arange(count + 2)
+        s = np.asarray(begin + (end - begin) / count * np.arange(count + 2), dtype=np.float64)
         return _through(s, self._posture.path.at(s), self._posture.path.tangent(s))
 
     def step(self, speed: float, curvature: ArrayLike | None = None) -> Target:
@@ -362,9 +362,10 @@ class Steering:
             return self._describe_end(distance, most)
         depth = asked
         for _ in range(STEERING.attempts):  # joints do not move quite in proportion to the feed
-            placement = self._place(depth, path)
-            if isinstance(placement, str):
-                return placement
+            placed = self._place(depth, path)
+            if isinstance(placed, str):
+                return placed
+            placement = placed
             q = self._configuration(placement)
             joint, share = self._fastest(q)
             if share <= 1.0 + ROUNDING:
