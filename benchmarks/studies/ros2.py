@@ -28,6 +28,7 @@ import numpy as np
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.ros2 import Driver, open_node
+from pinposture.ros2.driver import CLOUDS
 
 LIMITS = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0)
 BETWEEN_TARGETS = 4.0
@@ -45,14 +46,14 @@ class Punctuality(NamedTuple):
         cycles: number of cycles.
         missed: number of cycles that did not take place.
         held: number of cycles in which the arm held.
-        clouds: number of different surroundings that the driver saw.
+        maps: number of times that the map of clouds was another one.
         latencies: times from the state of the joints to the command [s].
     """
 
     cycles: int
     missed: int
     held: int
-    clouds: int
+    maps: int
     latencies: np.ndarray
 
 
@@ -67,7 +68,8 @@ def measure(arm_file: Path, options: tuple[str, ...], seconds: float) -> Punctua
     command = [sys.executable, "-m", "pinposture", "robot", arm_file, "--scene", file, *options]
     robot = subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL)
     held = 0
-    scenes: set[int] = set()
+    maps = 0
+    known = None
     try:
         with open_node("pinposture") as node:
             driver = Driver(node, arm, limits=LIMITS)
@@ -90,7 +92,10 @@ def measure(arm_file: Path, options: tuple[str, ...], seconds: float) -> Punctua
                 if driver.times.cycles > seen:
                     seen = driver.times.cycles
                     held += driver.status == "holding"
-                    scenes.add(id(driver.tracker.scene))
+                    now = driver.tracker.scene
+                    cells = None if now is None else now.obstacles[CLOUDS]
+                    maps += cells is not known
+                    known = cells
             cycles = driver.times.cycles - before[0]
             missed = driver.times.missed - before[1]
             latencies = np.array(driver.times.latencies)
@@ -99,7 +104,7 @@ def measure(arm_file: Path, options: tuple[str, ...], seconds: float) -> Punctua
     finally:
         robot.kill()
         robot.wait()
-    return Punctuality(cycles, missed, held, len(scenes) - 1, latencies)
+    return Punctuality(cycles, missed, held, maps - 1, latencies)
 
 
 def main() -> None:
@@ -121,7 +126,7 @@ def main() -> None:
             shares = f"{found.missed} ({100.0 * found.missed / (found.cycles + found.missed):.2f} %)"
             quantiles = [1e3 * float(np.quantile(found.latencies, share)) for share in (0.5, 0.99, 1.0)]
             words = " | ".join(f"{each:.1f}" for each in quantiles)
-            title = name if not found.clouds else f"{name} ({found.clouds} surroundings)"
+            title = name if not found.maps else f"{name} ({found.maps} maps)"
             print(f"| {title} | {found.cycles} | {shares} | {found.held} | {words} |", flush=True)
 
 

@@ -60,6 +60,7 @@ class DriverOptions:
     cloud_resolution: Annotated[
         str | None, SURROUNDINGS("{ros2.driver.DriverSettings.cloud_resolution}", "LENGTH")
     ] = None
+    forget: Annotated[str | None, SURROUNDINGS("{ros2.driver.DriverSettings.forget}", "TIME")] = None
     touch: Annotated[
         str | None, SURROUNDINGS("Brake and hold if an effort differs by more from its model.", "TORQUE")
     ] = None

@@ -1,27 +1,20 @@
-"""Point clouds of cameras as obstacles: PointCloud2 in the frame of a link or of the world."""
+"""Point clouds of cameras: PointCloud2 in the frame of a link or of the world, into a map."""
 
 from __future__ import annotations
 
-from math import sqrt
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, cast
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm
-from pinposture.collision import CollisionModel, Scan, Scene
-from pinposture.collision.solids import Solid
-from pinposture.errors import InvalidValue, UnknownName, no_warnings
+from pinposture.collision import Map, Mounting
+from pinposture.errors import InvalidValue
 from pinposture.motion.ros import world_frame
 
 Array = NDArray[np.float64]
-
-REACH = 2.0
-"""Distance from the base beyond which points are left out, in arm lengths: the arm does not get there."""
-
-MAX_CUBES = 20_000
-"""Largest number of cubes that a cloud may occupy. Distances to so many take the loop some milliseconds."""
 
 FORMATS: Final = {7: "f4", 8: "f8"}
 """Types of numbers by their number in `sensor_msgs/msg/PointField`: FLOAT32 and FLOAT64."""
@@ -71,104 +64,55 @@ def write_points(points: Array, frame: str, stamp: Any) -> Any:
     return message
 
 
-class Cloud(NamedTuple):
-    """A cloud, and where the arm was when it was taken.
+class CloudFrames:
+    """The frames in which clouds and curves may be given: the world, and the links of an arm.
 
     Attributes:
-        points: the points, (n, 3) [m], in the frame.
-        frame: name of the frame.
-        q: the configuration of the arm, (nq,).
-    """
-
-    points: Array
-    frame: str
-    q: Array
-
-
-class CloudObstacles:
-    """Turns clouds into obstacles of an arm.
-
-    The space is divided into cubes, and a cloud occupies those with a point. It becomes a `Scan` of their
-    centres with half their diagonal as `point_radius`, which contains all points: gaps are closed, and noise
-    that stays within a cube changes nothing. Points on the arm itself, or within the margin from it, are left
-    out, and points far beyond its reach.
+        names: their names.
 
     Args:
         arm: the arm.
-        scene: the obstacles that are known otherwise, and the margin.
-        resolution: edge length of the cubes [m].
     """
 
-    def __init__(self, arm: Arm, scene: Scene, resolution: float) -> None:
-        self.resolution = resolution
+    def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._margin = scene.margin
-        self._solids = CollisionModel(arm, scene).solids
         self._world = world_frame(arm)
-        self._data = arm.model.createData()
         frames = enumerate(arm.model.frames)
         self._links = {str(each.name): k for k, each in frames if k and each.type == pin.FrameType.BODY}
+        self.names = (self._world, *self._links)
 
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Names of the frames that a cloud may have: that of the world, and the links of the arm."""
-        return self._world, *self._links
+    def require(self, frame: str) -> None:
+        """Raise UnknownName unless a frame is one of `names`."""
+        require_known("frame of the arm", frame, self.names)
 
-    def require_frame(self, frame: str) -> None:
-        """Raise UnknownName unless a frame is one of `frames`."""
-        if frame not in self.frames:
-            raise UnknownName("frame of the arm", frame, self.frames)
-
-    def is_fixed(self, frame: str) -> bool:
-        """Return whether a frame does not move with the joints."""
-        return frame == self._world or self._arm.model.frames[self._links[frame]].parentJoint == 0
-
-    def to_world(self, points: Array, frame: str, q: Array) -> Array:
-        """Return points in the world frame, (n, 3) [m], given those in a frame of the arm at q, (nq,)."""
+    def fixed(self, frame: str) -> pin.SE3 | None:
+        """Return the placement of a frame that stands still, world frame; None if it moves with joints."""
         if frame == self._world:
-            return points
-        pin.framesForwardKinematics(self._arm.model, self._data, q)
-        placement = self._data.oMf[self._links[frame]]
-        return np.asarray(points @ placement.rotation.T + placement.translation)
+            return pin.SE3.Identity()
+        link = self._arm.model.frames[self._links[frame]]
+        return link.placement if link.parentJoint == 0 else None
 
-    def obstacle(self, cloud: Cloud) -> Scan | None:
-        """Return a cloud as an obstacle; None if no point is left.
+    def add(self, mapped: Map, points: Array, frame: str, time: float) -> None:
+        """Add a cloud to a map.
+
+        The sensor is at the origin of the link in whose frame the points are, so that cells between are free.
+        In the frame of the world or of the base, it is not known where the sensor is.
+
+        Args:
+            mapped: the map.
+            points: the points, (n, 3) [m], in the frame.
+            frame: the frame.
+            time: when they were measured [s].
 
         Raises:
             UnknownName: the frame is not known.
-            InvalidValue: no point is finite, or too many cubes are occupied.
+            InvalidValue: no point is finite, or the joints were not measured at that time.
         """
-        self.require_frame(cloud.frame)
-        points = cloud.points[np.isfinite(cloud.points).all(axis=1)]
-        if len(cloud.points) and not len(points):
-            raise InvalidValue("points", f"{len(cloud.points)}, none of them finite", "at least one")
-        points = self.to_world(points, cloud.frame, cloud.q)
-        base = np.array(self._arm.base_placement.translation)
-        points = points[np.linalg.norm(points - base, axis=1) <= REACH * self._arm.length]
-        points = points[~self._on_arm(points, cloud.q)]
-        cubes = np.unique(np.floor(points / self.resolution), axis=0)
-        if len(cubes) > MAX_CUBES:
-            allowed = f"at most {MAX_CUBES}; a larger cloud_resolution than {self.resolution:g} m gives fewer"
-            raise InvalidValue("occupied cubes", len(cubes), allowed)
-        if not len(cubes):
-            return None
-        radius = 0.5 * sqrt(3.0) * self.resolution
-        with no_warnings():
-            return Scan((cubes + 0.5) * self.resolution, name=f"cloud in {cloud.frame}", point_radius=radius)
-
-    def _on_arm(self, points: Array, q: Array) -> NDArray[np.bool_]:
-        """Return which points, (n, 3) [m], are on the arm at q, (nq,), or within the margin from it."""
-        pin.forwardKinematics(self._arm.model, self._data, q)
-        found = np.zeros(len(points), dtype=np.bool_)
-        for joint, solid in self._solids:
-            placement = self._data.oMi[joint]
-            found |= within(solid, (points - placement.translation) @ placement.rotation, self._margin)
-        return found
-
-
-def within(solid: Solid, points: Array, distance: float) -> NDArray[np.bool_]:
-    """Return which points, (n, 3) [m], are within a distance of the capsule that contains a solid."""
-    axis = solid.end - solid.start
-    along = (points - solid.start) @ axis / max(float(axis @ axis), np.finfo(np.float64).tiny)
-    nearest = solid.start + np.clip(along, 0.0, 1.0)[:, None] * axis
-    return np.asarray(np.linalg.norm(points - nearest, axis=1) <= solid.radius + distance)
+        self.require(frame)
+        if len(points) and not np.isfinite(points).all(axis=1).any():
+            raise InvalidValue("points", f"{len(points)}, none of them finite", "at least one")
+        if frame not in (self._world, self._arm.base):
+            mapped.add_cloud(points, Mounting(frame, pin.SE3.Identity()), time)
+            return
+        placement = cast(pin.SE3, self.fixed(frame))
+        mapped.add_cloud(points @ placement.rotation.T + placement.translation, None, time)

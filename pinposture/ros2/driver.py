@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from math import isnan
+from math import inf
 from queue import Empty, SimpleQueue
 from threading import Event
 from typing import Annotated, Any, Literal, NamedTuple
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm
-from pinposture.collision import CollisionModel, Scan, Scene
+from pinposture.collision import Map, Scene
 from pinposture.collision.model import effective_scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
@@ -24,7 +25,7 @@ from pinposture.motion import JointTrajectory, Report, Touch, Tracker
 from pinposture.motion.latest import Done, Latest
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.placement import Target, resolve_targets
-from pinposture.ros2.clouds import Cloud, CloudObstacles, read_points
+from pinposture.ros2.clouds import CloudFrames, read_points
 from pinposture.ros2.diagnostics import CycleTimes, diagnostics
 from pinposture.ros2.graph import latest_only, sensor_data
 from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
@@ -53,6 +54,12 @@ ARRIVED = 0.01
 """Mean distance of the control points from the start of a motion at which it begins, in arm lengths, once the
 arm rests there: soft or sticking drives stop short of it."""
 
+CLOUDS = "seen by cameras"
+"""Name of the obstacle that clouds make up."""
+
+CELL = 0.02
+"""Edge length of the cells of the map, in arm lengths, unless it is given."""
+
 STANDSTILL = 2.0
 """Time without a cycle after which a driver that shall end does not wait for one any longer [s]. Cycles stop
 with the clock of a simulation."""
@@ -69,7 +76,9 @@ class DriverSettings(Declared):
             `std_msgs/msg/Float64MultiArray`, as `JointGroupPositionController` and
             `forward_command_controller` take it, with the joints in the order of `Arm.drives`.
         max_age: age above which measured joint positions do not count, and the arm holds [s].
-        cloud_resolution: edge length of the cubes that point clouds occupy [m].
+        cloud_resolution: edge length of the cells of the map of point clouds [m]; None: 2 % of the length of
+            the arm.
+        forget: time constant with which the map forgets what is not seen again [s]; None: it does not.
         touch: how to notice from measured efforts that something touches the arm; None: it is not noticed.
 
     Raises:
@@ -80,7 +89,8 @@ class DriverSettings(Declared):
     rate: Annotated[float, CheckedBy(require_positive)] = 100.0
     command: Annotated[Literal["trajectory", "positions"], one_of("command", *COMMANDS)] = "trajectory"
     max_age: Duration = 0.1
-    cloud_resolution: Length = 0.02
+    cloud_resolution: Length | None = None
+    forget: Duration | None = None
     touch: Annotated[Touch | None, AS_GIVEN] = None
 
 
@@ -94,16 +104,16 @@ def usual_limits(arm: Arm, dt: float) -> Limits:
     return Limits(step=None, dt=dt, velocity=velocity, acceleration=USUAL_ACCELERATION * arm.joint_units)
 
 
-class SeenObstacles(NamedTuple):
-    """What clouds came to.
+class Cloud(NamedTuple):
+    """A cloud that the joints have been measured for.
 
     Attributes:
-        scene: the obstacles; None if they are as before.
-        faults: why clouds are refused, by frame; empty where they are not.
+        points: the points, (n, 3) [m], in its frame.
+        time: when it was taken [s].
     """
 
-    scene: Scene | None
-    faults: dict[str, str]
+    points: Array
+    time: float
 
 
 class Performance:
@@ -155,8 +165,8 @@ class Driver:
     finite, and while a cloud cannot be used: its frame is unknown, no point is finite, or the joints were not
     measured at its time. Diagnostics give the reason.
 
-    Each cloud replaces that of its frame before, and obstacles of clouds that were seen once remain until a
-    cloud of their frame without them.
+    Clouds are kept in a `Map`, which leaves out the arm itself, and forgets what a sensor sees through. The
+    sensor is at the origin of the link in whose frame the points are.
 
     Attributes:
         arm: the arm.
@@ -191,7 +201,11 @@ class Driver:
         self.arm = arm
         self._node = node
         self._given = self._declare_parameters(settings or DriverSettings(), limits)
-        self._scene = effective_scene(arm, scene)
+        self._frames = CloudFrames(arm)
+        self._map = self._new_map()
+        self._mapped_until = 0  # the last time at which the joints were measured [ns]
+        known = effective_scene(arm, scene)
+        self._scene = replace(known, obstacles={**known.obstacles, CLOUDS: self._map.cells})
         period = 1.0 / self.settings.rate
         self.tracker = Tracker(
             arm,
@@ -209,10 +223,14 @@ class Driver:
         self._stopping = False
         self._last_cycle = time.monotonic()
         self._posted: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._next_scene: Scene | None = None
-        self._start_clouds(node)
+        self._cloud_faults: dict[str, str] = {}
+        self._waiting: dict[str, Any] = {}
+        self._reading: Latest[dict[str, Cloud], dict[str, str]] = Latest(
+            self._read_clouds, "pinposture-clouds", deliver=self._take_faults, merge=lambda a, b: a | b
+        )
         self._placing: Latest[Curve, Target] = Latest(self._place, "pinposture-path", deliver=self._deliver)
         self._target_fault = ""
+        self._logged = ""
         self._connect(node)
 
     # Parameters.
@@ -234,8 +252,16 @@ class Driver:
             command=declare("command", settings.command, "trajectory or positions", True),
             max_age=declare("max_age", settings.max_age, "age above which joint states do not count [s]"),
             cloud_resolution=declare(
-                "cloud_resolution", settings.cloud_resolution, "edge length of occupied cubes [m]", True
-            ),
+                "cloud_resolution",
+                settings.cloud_resolution or 0.0,
+                "edge length of the cells of the map [m]; 0: 2 % of the length of the arm",
+                True,
+            )
+            or None,
+            forget=declare(
+                "forget", settings.forget or 0.0, "time constant of the map [s]; 0: it forgets nothing", True
+            )
+            or None,
             touch=settings.touch,
         )
         self._bounds = {
@@ -313,12 +339,13 @@ class Driver:
         """Have a curve through points placed, in another thread."""
         frame = message.header.frame_id
         try:
-            self._cloud_obstacles.require_frame(frame)
-            if not self._cloud_obstacles.is_fixed(frame):
+            self._frames.require(frame)
+            placement = self._frames.fixed(frame)
+            if placement is None:
                 raise InvalidValue("frame_id", frame, "the frame of the world or of the base")
             poses = [each.pose.position for each in message.poses]
             points = np.array([(each.x, each.y, each.z) for each in poses]).reshape(-1, 3)
-            curve = Curve.points(self._cloud_obstacles.to_world(points, frame, self.arm.neutral()))
+            curve = Curve.points(points).moved(placement.rotation, placement.translation)
         except PostureError as error:
             self._refuse_target(error)
             return
@@ -371,66 +398,42 @@ class Driver:
 
     # Clouds.
 
-    def _start_clouds(self, node: Any) -> None:
-        """Prepare for clouds: one waits until the joints are measured at its time, and a thread reads it."""
-        self._cloud_obstacles = CloudObstacles(self.arm, self._scene, self.settings.cloud_resolution)
-        self._cloud_faults: dict[str, str] = {}
-        self._waiting: dict[str, Any] = {}
-        self._known: dict[str, Scan | None] = {}  # of the thread
-        self._reading: Latest[dict[str, Cloud], SeenObstacles] = Latest(
-            self._read_clouds, "pinposture-clouds", deliver=self._take_surroundings, merge=lambda a, b: a | b
-        )
-
     def _take_cloud(self, message: Any) -> None:
         self._waiting[message.header.frame_id] = message
 
     def _pass_clouds_on(self, now: int) -> None:
-        """Pass on clouds at whose time the joints are measured; refuse those that waited in vain."""
+        """Have clouds read for whose time the joints are measured, or will not be any more."""
         ready: dict[str, Cloud] = {}
         for frame, message in list(self._waiting.items()):
             stamp = stamp_of(message)
             late = (now - stamp) / NANOSECONDS > self.settings.max_age
-            if not (late or self._joints.covers(stamp) or frame not in self._cloud_obstacles.frames):
+            if not (late or self._mapped_until >= stamp or frame not in self._frames.names):
                 continue
             del self._waiting[frame]
             try:
-                self._cloud_obstacles.require_frame(frame)
-                q = self._joints.configuration_at(stamp)
-                if q is None:
-                    age = f"{(now - stamp) / NANOSECONDS:.3g} s ago"
-                    raise InvalidValue("its time stamp", age, "a time at which the joints were measured")
-                ready[frame] = Cloud(read_points(message), frame, q)
+                ready[frame] = Cloud(read_points(message), stamp / NANOSECONDS)
             except PostureError as error:
                 self._cloud_faults[frame] = str(error)
         if ready:
             self._reading.ask(ready)
 
-    def _read_clouds(self, clouds: dict[str, Cloud], outdated: Event) -> SeenObstacles:
-        """Return the surroundings with clouds; runs in the thread of clouds."""
+    def _read_clouds(self, clouds: dict[str, Cloud], outdated: Event) -> dict[str, str]:
+        """Add clouds to the map; return why they are refused, or nothing, by frame. Runs in a thread."""
         faults = dict.fromkeys(clouds, "")
-        known = dict(self._known)
         for frame, cloud in clouds.items():
             try:
-                known[frame] = self._cloud_obstacles.obstacle(cloud)
+                self._frames.add(self._map, cloud.points, frame, cloud.time)
             except PostureError as error:
                 faults[frame] = str(error)
-        if known == self._known:
-            return SeenObstacles(None, faults)
-        self._known = known
-        seen = {f"cloud in {frame}": scan for frame, scan in known.items() if scan is not None}
-        scene = self._scene.with_obstacles({**self._scene.obstacles, **seen})
-        CollisionModel.prepare(self.arm, scene)
-        return SeenObstacles(scene, faults)
+        return faults
 
-    def _take_surroundings(self, done: Done[dict[str, Cloud], SeenObstacles]) -> None:
-        """Pass surroundings on to the cycle; called in the thread of clouds."""
-        found = done.answer or SeenObstacles(None, dict.fromkeys(done.request, f"it failed: {done.error}"))
+    def _take_faults(self, done: Done[dict[str, Cloud], dict[str, str]]) -> None:
+        """Pass faults of clouds on to the cycle; called in the thread."""
+        found = done.answer or dict.fromkeys(done.request, f"it failed: {done.error}")
 
         def take() -> None:
-            self._cloud_faults = {
-                frame: fault for frame, fault in {**self._cloud_faults, **found.faults}.items() if fault
-            }
-            self._next_scene = found.scene or self._next_scene
+            faults = {**self._cloud_faults, **found}
+            self._cloud_faults = {frame: fault for frame, fault in faults.items() if fault}
 
         self._posted.put(take)
 
@@ -442,13 +445,16 @@ class Driver:
         self._take_waiting_joints()
         now = self._now()
         passed = self.times.begin(now)
-        if passed <= 0.0:
+        if passed <= 0.0:  # the clock jumped back
             self._joints.forget()
+            self._map = self._new_map()
+            self._mapped_until = 0
             self.times.latencies.clear()
             passed = 1.0 / self.settings.rate
+        measured = self._joints.measurement(now)
+        self._map_measurement(measured)
         self._pass_clouds_on(now)
         self._run_posted()
-        measured = self._joints.measurement(now)
         held = self._reason_to_hold(measured)
         self._step(None if held else measured, passed)
         report = self.tracker.report
@@ -458,10 +464,21 @@ class Driver:
         self._located = self._located or report.tracking_error is not None
         if self._located:
             self._commands.publish(self._command())
-            if not isnan(measured.age):
-                self.times.sent(now - round(measured.age * NANOSECONDS), self._now())
+            if measured.stamp:
+                self.times.sent(measured.stamp, self._now())
         if self.status != before:
             self._diagnose()
+
+    def _new_map(self) -> Map:
+        resolution = self.settings.cloud_resolution or CELL * self.arm.length
+        return Map(resolution, self.arm, forget=self.settings.forget or inf)
+
+    def _map_measurement(self, measured: JointMeasurement) -> None:
+        """Tell the map where the arm is, for clouds of that time."""
+        if measured.positions is not None and measured.stamp > self._mapped_until:
+            positions = self.arm.drives.joint_positions(measured.positions)
+            self._map.measure(self.arm.configuration(positions), measured.stamp / NANOSECONDS)
+            self._mapped_until = measured.stamp
 
     def _run_posted(self) -> None:
         while True:
@@ -486,14 +503,15 @@ class Driver:
         """Let the tracker take a step after a time [s]; without a measurement, it brakes and holds."""
         tracker = self.tracker
         period = 1.0 / self.settings.rate
-        scene = self._next_scene
-        self._next_scene = None
+        cells = self._map.cells
+        if cells is not self._scene.obstacles[CLOUDS]:
+            self._scene = self._scene.updated({CLOUDS: cells})
         if self._performance is not None:
             tracker.update(self._performance.advance(tracker.report, period))
         tracker.step(
             None if measured is None else measured.positions,
             passed if passed < SHORT_CYCLE * period else None,
-            scene=scene,
+            scene=self._scene,
             torques=None if measured is None else measured.torques,
         )
 
@@ -552,7 +570,8 @@ class Driver:
             "tracking error": report.tracking_error,
             "violated": "; ".join(report.violated_constraints),
             "target": self._target_fault or ("given" if self.tracker.target is not None else "none"),
-            "obstacles": ", ".join((self.tracker.scene or self._scene).obstacles) or "none",
+            "cells seen by cameras": len(self._map.cells.points),
+            "refused clouds": "; ".join(f"{frame}: {why}" for frame, why in self._cloud_faults.items()),
             "cycles": self.times.cycles,
             "missed cycles": self.times.missed,
             "overruns": self.tracker.overruns,
@@ -562,5 +581,11 @@ class Driver:
         message = diagnostics(self._node.get_fully_qualified_name(), self.arm.name, level, words, values)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(message)
-        if self.reason:
-            self._node.get_logger().warning(words, throttle_duration_sec=DIAGNOSTICS_PERIOD)
+        self._log(words if self.reason else "")
+
+    def _log(self, words: str) -> None:
+        """Log why the arm does not move as it shall, once for as long as nothing but numbers changes."""
+        kind = re.sub(r"[\d.e-]+", "", words)
+        if words and kind != self._logged:
+            self._node.get_logger().warning(words)
+        self._logged = kind

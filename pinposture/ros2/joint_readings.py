@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
 from math import isfinite, nan
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.errors import did_you_mean, enumerated
 from pinposture.motion.ros import NANOSECONDS, stamp_of
-
-Array = NDArray[np.float64]
-
-KEPT_TIME = 2 * NANOSECONDS
-"""Time for which measurements are kept, to tell where the arm was when a cloud was taken [ns]. Depth cameras
-deliver clouds some 0.1 s late."""
 
 MAX_LISTED_JOINTS = 4
 """Largest number of joints that a reason names."""
@@ -44,12 +34,14 @@ class JointMeasurement(NamedTuple):
         positions: positions by the names of joints [rad or m]; None if they cannot be used.
         torques: torques or forces by the names of joints [N m or N]; None if some are not measured.
         age: age of the oldest position [s]; NaN if there is none.
+        stamp: its time [ns]; 0 if there is none.
         reason: why they cannot be used; empty if they can.
     """
 
     positions: dict[str, float] | None
     torques: dict[str, float] | None
     age: float
+    stamp: int
     reason: str
 
 
@@ -73,14 +65,12 @@ class JointReadings:
         self.refused = 0
         self._arm = arm
         self._names = arm.drives.names
-        self._history: deque[tuple[int, Array]] = deque()
         self._others: set[str] = set()
         self.forget()
 
     def forget(self) -> None:
         """Forget all measurements, as after a jump of the clock."""
         self._readings: dict[str, JointReading] = {}
-        self._history.clear()
         self._fault = ""
 
     def take(self, message: Any, now: int) -> str:
@@ -104,7 +94,6 @@ class JointReadings:
                 self._readings[name] = JointReading(float(position), float(effort), stamp)
             else:
                 self._others.add(name)
-        self._remember()
         return ""
 
     def _fault_of(self, message: Any, now: int) -> str:
@@ -125,26 +114,14 @@ class JointReadings:
             return f"joint states jump back in time by {(last - stamp) / NANOSECONDS:.3g} s"
         return ""
 
-    def _remember(self) -> None:
-        """Add the positions to the history if all are known, and newer than the last."""
-        if len(self._readings) < len(self._names):
-            return
-        stamp = min(each.stamp for each in self._readings.values())
-        if self._history and stamp <= self._history[-1][0]:
-            return
-        positions = np.array([self._readings[name].position for name in self._names])
-        if np.all(np.isfinite(positions)):
-            self._history.append((stamp, positions))
-        while self._history and self._history[0][0] < stamp - KEPT_TIME:
-            self._history.popleft()
-
     def measurement(self, now: int) -> JointMeasurement:
         """Return what is known of the joints at a time [ns]."""
         missing = [name for name in self._names if name not in self._readings]
         if missing:
-            return JointMeasurement(None, None, nan, self._describe_missing(missing))
+            return JointMeasurement(None, None, nan, 0, self._describe_missing(missing))
         oldest = min(self._names, key=lambda name: self._readings[name].stamp)
-        age = (now - self._readings[oldest].stamp) / NANOSECONDS
+        stamp = self._readings[oldest].stamp
+        age = (now - stamp) / NANOSECONDS
         positions = {name: self._readings[name].position for name in self._names}
         broken = [name for name, position in positions.items() if not isfinite(position)]
         reason = ""
@@ -155,10 +132,10 @@ class JointReadings:
         elif broken:
             reason = f"the position of joint {broken[0]!r} is measured as {positions[broken[0]]}"
         if reason:
-            return JointMeasurement(None, None, age, reason)
+            return JointMeasurement(None, None, age, stamp, reason)
         torques = {name: self._readings[name].effort for name in self._names}
         known = all(isfinite(effort) for effort in torques.values())
-        return JointMeasurement(positions, torques if known else None, age, "")
+        return JointMeasurement(positions, torques if known else None, age, stamp, "")
 
     def _describe_missing(self, missing: list[str]) -> str:
         if self._fault:
@@ -167,17 +144,3 @@ class JointReadings:
             return "no joint states yet"
         hints = [f"{name!r}{did_you_mean(name, sorted(self._others))}" for name in missing]
         return f"joint states lack {enumerated(hints, MAX_LISTED_JOINTS)}"
-
-    def covers(self, stamp: int) -> bool:
-        """Return whether positions were measured at or after a time [ns]."""
-        return bool(self._history) and self._history[-1][0] >= stamp
-
-    def configuration_at(self, stamp: int) -> Array | None:
-        """Return the configuration at a time [ns], (nq,), interpolated; None if it was not measured."""
-        history = list(self._history)
-        if not history or not history[0][0] <= stamp <= history[-1][0]:
-            return None
-        times = np.array([(time - stamp) / NANOSECONDS for time, _ in history])
-        rows = np.array([row for _, row in history])
-        positions = np.array([np.interp(0.0, times, column) for column in rows.T])
-        return self._arm.configuration(self._arm.drives.joint_positions(positions))

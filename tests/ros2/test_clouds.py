@@ -12,7 +12,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.ros2.clouds import Cloud, CloudObstacles, read_points
+from pinposture.ros2.clouds import CloudFrames, read_points
 
 typesys = pytest.importorskip("rosbags.typesys")
 
@@ -31,8 +31,8 @@ def arm() -> pp.Arm:
 
 
 @pytest.fixture
-def obstacles(arm: pp.Arm) -> CloudObstacles:
-    return CloudObstacles(arm, pp.Scene(margin=0.005), RESOLUTION)
+def frames(arm: pp.Arm) -> CloudFrames:
+    return CloudFrames(arm)
 
 
 def packed(types: Any, rows: int, columns: int, number: str, big: bool) -> tuple[Any, np.ndarray]:
@@ -80,98 +80,63 @@ def test_a_message_without_points_of_three_coordinates_is_refused(types: Any) ->
 
 
 @pytest.mark.long
-def test_a_point_is_placed_by_the_link_that_it_is_given_in(
-    arm: pp.Arm, obstacles: CloudObstacles, tmp_path: Path
+@pytest.mark.parametrize("link", ["world", "base", "module_02", "tip"])
+def test_points_are_where_the_link_that_they_are_given_in_was(
+    arm: pp.Arm, frames: CloudFrames, tmp_path: Path, link: str
 ) -> None:
     yourdfpy = pytest.importorskip("yourdfpy")
     file = tmp_path / "arm.urdf"
     file.write_text(arm.urdf)
     robot = yourdfpy.URDF.load(file, load_meshes=False, build_scene_graph=True)
-    rng = np.random.default_rng(1)
-    q = arm.random(rng)
+    link = link if link in ("world", *robot.link_map) else list(robot.link_map)[3]
+    q, later = 0.3 * np.ones(arm.nq), np.zeros(arm.nq)
     robot.update_cfg(dict(zip(arm.joint_names, q, strict=True)))
-    points = rng.normal(size=(5, 3))
-    for link in robot.link_map:
+    placed = np.eye(4)
+    if link != "world":
         placed = arm.base_placement.homogeneous @ robot.get_transform(link)
-        expected = points @ placed[:3, :3].T + placed[:3, 3]
-        np.testing.assert_allclose(obstacles.to_world(points, link, q), expected, atol=1e-9)
-    assert {"tip", "base"} <= set(robot.link_map)
-    np.testing.assert_array_equal(obstacles.to_world(points, "world", q), points)
-    assert obstacles.is_fixed("world") and obstacles.is_fixed("base") and not obstacles.is_fixed("tip")
-
-
-def test_the_obstacle_contains_every_point_and_reaches_no_farther_than_a_cube(
-    arm: pp.Arm, obstacles: CloudObstacles
-) -> None:
-    rng = np.random.default_rng(2)
-    points = np.array([0.4, 0.5, 0.6]) + 0.03 * rng.normal(size=(300, 3)) + (0.0, 0.2, 0.0)
-    scan = obstacles.obstacle(Cloud(points, "world", arm.straight()))
-    assert scan is not None
-    apart = np.linalg.norm(points[:, None] - scan.points[None], axis=2)
-    assert apart.min(axis=1).max() <= scan.point_radius  # each point is inside
-    assert apart.min(axis=0).max() <= scan.point_radius  # each cube has a point
-    assert scan.point_radius == pytest.approx(RESOLUTION * 3**0.5 / 2)
-    shaken = points + 1e-9
-    assert obstacles.obstacle(Cloud(shaken, "world", arm.straight())) == scan
-
-
-def test_points_on_the_arm_itself_are_left_out_and_those_beside_it_are_not(
-    arm: pp.Arm, obstacles: CloudObstacles
-) -> None:
-    q = arm.random(np.random.default_rng(3))
-    model = pp.CollisionModel(arm, pp.Scene(margin=0.005, self_collision=False))
-    data = arm.model.createData()
-    pin.forwardKinematics(arm.model, data, q)
-    on, beside = [], []
-    for joint, solid in model.solids:
-        if not solid.round:
-            continue
-        middle = data.oMi[joint].act((solid.start + solid.end) / 2.0)
-        aside = data.oMi[joint].rotation @ pin.SE3.Random().rotation[:, 0]
-        on.append(middle)
-        beside.append(middle + 0.15 * aside)
-    assert on
-    assert obstacles.obstacle(Cloud(np.array(on), "world", q)) is None
-    kept = obstacles.obstacle(Cloud(np.array([*on, *beside]), "world", q))
-    assert kept is not None and len(kept.points) == len(beside)
+    mapped = pp.Map(RESOLUTION, arm)
+    mapped.measure(q, 1.0)
+    mapped.measure(later, 2.0)
+    rng = np.random.default_rng(1)
+    there = np.array([0.4, 0.62, 0.62]) + rng.uniform(-0.01, 0.01, (50, 3))
+    points = (there - placed[:3, 3]) @ placed[:3, :3]
+    frames.add(mapped, points, link, 1.0)
+    seen = mapped.cells.points
+    apart = np.linalg.norm(there[:, None] - seen[None], axis=2)
+    assert apart.min(axis=1).max() <= RESOLUTION * 3**0.5 / 2  # each point is in a cell
+    assert apart.min(axis=0).max() <= RESOLUTION * 3**0.5 / 2  # and each cell has a point
+    assert (frames.fixed(link) is None) == (link not in ("world", "base"))
 
 
 @pytest.mark.long
-def test_a_point_a_margin_beside_the_arm_is_where_the_line_is_drawn(
-    arm: pp.Arm, obstacles: CloudObstacles
-) -> None:
-    """The distance of a point from the arm is that of a tiny sphere, as the collision model has it."""
-    q = arm.straight()
-    rng = np.random.default_rng(4)
-    begin, end = arm.base_placement.translation, arm.at(q).points[-1]
-    kept = {}
-    for _ in range(60):
-        point = begin + rng.uniform(0.1, 0.9) * (end - begin) + rng.uniform(-0.03, 0.03, 3)
-        scene = pp.Scene({"point": pp.Sphere(tuple(point), 1e-6)}, self_collision=False)
-        distance = pp.CollisionModel(arm, scene).minimum(q).distance
-        kept[distance] = obstacles.obstacle(Cloud(point[None], "world", q)) is not None
-    assert any(kept.values()) and not all(kept.values())
-    for distance, is_kept in kept.items():
-        if abs(distance - 0.005) > 1e-4:
-            assert is_kept == (distance > 0.005)
+def test_only_a_sensor_on_a_link_sees_that_space_is_free(arm: pp.Arm, frames: CloudFrames) -> None:
+    q = np.zeros(arm.nq)
+    mapped = pp.Map(RESOLUTION, arm, reach=0.6)
+    mapped.measure(q, 1.0)
+    mapped.measure(q, 9.0)
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, q)
+    tip = data.oMf[arm.model.getFrameId(arm.tip)]
+    near, far = (np.array(tip.act(np.array([ahead, 0.0, 0.0])))[None] for ahead in (0.1, 0.2))
+    frames.add(mapped, near, "world", 1.0)
+    assert len(mapped.cells.points) == 1
+    for moment in (2.0, 3.0, 4.0, 5.0):
+        frames.add(mapped, far, "world", moment)
+    assert len(mapped.cells.points) == 2  # from where it is seen is not known
+    for moment in (6.0, 7.0, 8.0, 8.5):
+        frames.add(mapped, np.array([[0.2, 0.0, 0.0]]), arm.tip, moment)
+    np.testing.assert_allclose(mapped.cells.points, far, atol=RESOLUTION)
 
 
-def test_what_cannot_be_used_is_refused(arm: pp.Arm, obstacles: CloudObstacles) -> None:
-    q = arm.straight()
+def test_what_cannot_be_used_is_refused(arm: pp.Arm, frames: CloudFrames) -> None:
+    mapped = pp.Map(RESOLUTION, arm)
+    mapped.measure(arm.straight(), 1.0)
     with pytest.raises(UnknownName, match="no frame of the arm is called 'camera_link'"):
-        obstacles.obstacle(Cloud(np.zeros((3, 3)), "camera_link", q))
+        frames.add(mapped, np.zeros((3, 3)), "camera_link", 1.0)
     with pytest.raises(InvalidValue, match="points is '4, none of them finite'"):
-        obstacles.obstacle(Cloud(np.full((4, 3), np.nan), "tip", q))
-    many = np.random.default_rng(0).uniform(-0.3, 0.3, (60_000, 3)) + arm.base_placement.translation
-    fine = CloudObstacles(arm, pp.Scene(), 0.005)
-    with pytest.raises(InvalidValue, match=r"occupied cubes is .*a larger cloud_resolution than 0.005 m"):
-        fine.obstacle(Cloud(many, "world", q))
-
-
-def test_points_beyond_reach_and_an_empty_cloud_leave_no_obstacle(
-    arm: pp.Arm, obstacles: CloudObstacles
-) -> None:
-    q = arm.straight()
-    far = np.array([[100.0, 0.0, 0.0], [np.nan, 0.0, 0.0]])
-    assert obstacles.obstacle(Cloud(far, "world", q)) is None
-    assert obstacles.obstacle(Cloud(np.zeros((0, 3)), "tip", q)) is None
+        frames.add(mapped, np.full((4, 3), np.nan), "tip", 1.0)
+    for frame in ("tip", "world"):
+        with pytest.raises(InvalidValue, match="a time at which the arm is measured"):
+            frames.add(mapped, np.ones((4, 3)), frame, 1.5)
+    frames.add(mapped, np.zeros((0, 3)), "tip", 1.0)
+    assert len(mapped.cells.points) == 0

@@ -56,6 +56,7 @@ def test_joints_are_found_by_name_among_others_in_any_order(arm: pp.Arm, message
     assert found.positions == dict(zip(NAMES, (0.1, 0.2, 0.3, 0.4), strict=True))
     assert found.torques == dict(zip(NAMES, (2.0, 5.0, 1.0, 4.0), strict=True))
     assert found.age == pytest.approx(0.02)
+    assert found.stamp == NOW - 20 * MS
     assert found.reason == ""
 
 
@@ -117,40 +118,5 @@ def test_a_position_that_is_not_finite_is_not_used_and_heals(arm: pp.Arm, messag
     found = states.measurement(NOW)
     assert found.positions is None
     assert found.reason == f"the position of joint {NAMES[1]!r} is measured as {value}"
-    assert states.configuration_at(NOW) is None
     states.take(message(all_at(0.1), NOW + MS), NOW + MS)
     assert states.measurement(NOW + MS).reason == ""
-
-
-def test_the_configuration_in_between_is_interpolated(arm: pp.Arm, message: Any) -> None:
-    states = JointReadings(arm, 0.1)
-    rng = np.random.default_rng(0)
-    rows = rng.normal(size=(5, 4))
-    for k, row in enumerate(rows):
-        moment = NOW + 10 * k * MS
-        states.take(message(dict(zip(NAMES, row, strict=True)), moment), moment)
-    for k, share in ((0, 0.0), (1, 0.25), (3, 0.9), (4, 0.0)):
-        expected = rows[k] if share == 0.0 else (1 - share) * rows[k] + share * rows[k + 1]
-        found = states.configuration_at(NOW + round((10 * k + 10 * share) * MS))
-        np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert states.configuration_at(NOW - MS) is None  # before the first
-    assert states.configuration_at(NOW + 41 * MS) is None  # nothing is extrapolated
-    assert states.covers(NOW + 40 * MS)
-    assert not states.covers(NOW + 41 * MS)
-
-
-def test_turns_of_continuous_joints_are_counted_in_between(message: Any) -> None:
-    arm = pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf.replace('type="revolute"', 'type="continuous"'))
-    states = JointReadings(arm, 0.1)
-    for moment, position in ((NOW, 3.1), (NOW + 10 * MS, 3.3)):
-        states.take(message(dict.fromkeys(arm.drives.names, position), moment), moment)
-    found = states.configuration_at(NOW + 5 * MS)
-    np.testing.assert_allclose(arm.positions(found), 3.2 - 2.0 * np.pi, atol=1e-9)
-
-
-def test_old_measurements_are_forgotten(arm: pp.Arm, message: Any) -> None:
-    states = JointReadings(arm, 0.1)
-    for k in range(400):
-        states.take(message(all_at(0.01 * k), NOW + 10 * k * MS), NOW + 10 * k * MS)
-    assert states.configuration_at(NOW + 1000 * MS) is None
-    assert states.configuration_at(NOW + 2500 * MS) is not None
