@@ -585,7 +585,7 @@ class Driver:
 
     def _log(self, words: str) -> None:
         """Log why the arm does not move as it shall, once for as long as nothing but numbers changes."""
-        kind = re.sub(r"[\d.e-]+", "", words)
+        kind = re.sub(r"[-+.\d]+", "", words)
         if words and kind != self._logged:
             self._node.get_logger().warning(words)
         self._logged = kind

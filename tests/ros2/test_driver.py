@@ -331,3 +331,82 @@ def test_a_cloud_of_a_link_becomes_an_obstacle_and_one_of_an_unknown_frame_holds
     publisher.publish(write_points(np.zeros((0, 3)), "world", robot.node.get_clock().now().to_msg()))
     assert graph.run(lambda: robot.at(target)), driver.reason
     robot.node.destroy_publisher(publisher)
+
+
+class Simulator:
+    """Publishes a clock of its own, joint states with efforts, and follows commands exactly."""
+
+    def __init__(self, graph: Any, arm: pp.Arm) -> None:
+        from rosgraph_msgs.msg import Clock
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+
+        self.arm = arm
+        self.graph = graph
+        self.positions = np.zeros(arm.nv)
+        self.extra = np.zeros(arm.nv)  # torque of contact [N m]
+        self.time = 100.0
+        node = graph.node("simulator")
+        self.clock = node.create_publisher(Clock, "/clock", 1)
+        self.states = node.create_publisher(JointState, "/simulated/joint_states", 1)
+        commands = "/simulated/position_controller/commands"
+        node.create_subscription(Float64MultiArray, commands, self._move, 1)
+
+    def _move(self, message: Any) -> None:
+        self.positions = np.array(message.data)
+
+    def run(self, until: Callable[[], Any], patience: float = 60.0) -> bool:
+        """Let simulated time pass until something is so, or the patience [s] is at its end."""
+        from builtin_interfaces.msg import Time
+        from rosgraph_msgs.msg import Clock
+        from sensor_msgs.msg import JointState
+
+        end = self.time + patience
+        while not until() and self.time < end:
+            self.time += DT
+            stamp = Time(sec=int(self.time), nanosec=int(1e9 * (self.time - int(self.time))))
+            q = self.arm.configuration(self.positions)
+            torques = self.arm.drives.torques(self.arm.at(q).gravity_torques) + self.extra
+            message = JointState(name=list(self.arm.drives.names), position=self.positions.tolist())
+            message.effort = torques.tolist()
+            message.header.stamp = stamp
+            self.states.publish(message)
+            self.clock.publish(Clock(clock=stamp))
+            self.graph.run_for(0.005)
+        return bool(until())
+
+
+def test_a_driver_follows_the_clock_of_a_simulation_also_back_and_feels_a_touch(
+    graph: Any, arm: pp.Arm
+) -> None:
+    settings = DriverSettings(rate=1.0 / DT, command="positions", touch=pp.Touch(0.2))
+    limits = pp.Limits(dt=1.0, velocity=VELOCITY, acceleration=ACCELERATION)
+    given = ("--ros-args", "-r", "__ns:=/simulated", "-p", "use_sim_time:=true", "-p", "max_age:=0.2")
+    driver = Driver(graph.node("clocked", *given), arm, settings, limits=limits)
+    assert driver.settings.max_age == 0.2  # the parameter counts
+    simulator = Simulator(graph, arm)
+
+    def at(bend: float) -> bool:
+        return bool(np.abs(simulator.positions - bend).max() < 1e-3)
+
+    driver.aim(posture(arm, 0.3))
+    assert simulator.run(lambda: at(0.3)), driver.reason
+    cycles = driver.times.cycles
+    graph.run_for(0.3)
+    assert driver.times.cycles <= cycles + 1  # time stands still
+    simulator.time = 20.0
+    driver.aim(posture(arm, -0.3))
+    assert simulator.run(lambda: at(-0.3)), driver.reason
+
+    simulator.extra[2] = 1.0
+    assert simulator.run(lambda: driver.reason.startswith("something touches the arm")), driver.reason
+    assert arm.drives.names[2] in driver.reason
+    simulator.extra[:] = 0.0
+    driver.aim(posture(arm, 0.0))
+    assert not simulator.run(lambda: at(0.0), 3.0)  # it goes on only when it is told to
+    from rclpy.parameter import Parameter
+
+    for hold in (True, False):
+        assert driver._node.set_parameters([Parameter("hold", value=hold)])[0].successful
+    assert simulator.run(lambda: at(0.0)), driver.reason
+    driver.close()
