@@ -43,13 +43,13 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 218,  # 170
-    "definitions": 4805,
-    "constants": 1064,
+    "definitions": 4799,
+    "constants": 1063,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
     "class names defined twice": 1,  # 0
-    "constants of two meanings in sight": 2,  # 0
+    "constants of two meanings in sight": 1,  # 0
     "long parameter lists": 0,  # 0
     "kernel calls spread from tuples": 0,  # 0
     "assignments that share a line": 0,  # 0
