@@ -150,6 +150,7 @@ def examples() -> dict[str, Any]:
         "Carrying.turn": (0.1, 0.2, 0.3),
         "Wrapping.obstacle": "ball",
         "squeeze": 0.1,
+        "force": None,
         "wrap.arm": a_hand()[0],
         "wrap.scene": a_hand()[1],
         "wrap.obstacle": "can",

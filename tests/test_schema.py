@@ -120,7 +120,7 @@ SHARED = [
     (Leader, ("speed", "depth", "placement", "method", "and_back", "pipe")),
     (TipGoal, ("position", "direction", "rotation", "duration", "hold", "budget")),
     (Withdrawal, ("speed",)),
-    (Wrapping, ("obstacle", "turns", "friction", "squeeze")),
+    (Wrapping, ("obstacle", "turns", "friction", "squeeze", "force")),
     (Carrying, ("position", "turn", "onto")),
     (FeedSpec, ("stroke", "length", "speed")),
     (ArmSpec, ("joint_limits", "characteristic_length")),

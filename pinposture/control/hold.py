@@ -31,6 +31,10 @@ EDGES = 16
 CLOSED = 1e-6
 """Share of an equal distribution that each push has in force closure; HiGHS keeps equalities to 1e-7."""
 
+NORMAL_PUSH = 0.01
+"""Cost of a push along the normal, relative to one along an edge of the cone of friction, where an arm
+squeezes. A tenth and ten times of it changed no torque; tests/sim/test_sim_wrap.py measures the forces."""
+
 UNBOUNDED_PROGRAM = 3
 """Status of `scipy.optimize.linprog` where there is no largest value."""
 
@@ -165,13 +169,57 @@ def assess_hold(
     within = length("within", within, zero=True)
     touched = _contacts(state, scene, [obstacle], within)
     pushes = _pyramids(touched.normals, friction)
-    middle = np.array(solid_inertia(shape.solid()).lever)
-    wrenches = np.concatenate([pushes, np.cross((touched.points - middle)[:, None], pushes)], axis=2)
-    wrenches = wrenches.reshape(-1, 6).T
+    wrenches = _wrenches(scene, obstacle, touched, pushes)
     torques = _torques(arm, state.q, touched, pushes)
     held = _largest_mass(arm, state.gravity_torques, wrenches, torques)
     bodies = tuple(body for body, _ in touched.pairs)
     return Hold(touched.points, touched.normals, bodies, _is_closed(wrenches), held)
+
+
+def squeezing_torques(
+    arm: Arm, q: Array, scene: Scene, obstacle: str, *, friction: float, within: float, force: float
+) -> tuple[Array, float]:
+    """Return the torques with which an arm squeezes an object that it touches, as `assess_hold`.
+
+    The contacts press with at least a normal force everywhere, and their forces balance on the object.
+    Friction takes part as little as it has to, as it is not known which forces it bears.
+
+    Args:
+        arm: the arm.
+        q: its configuration, (nq,).
+        scene: the scene.
+        obstacle: name of the object.
+        friction: coefficient of friction.
+        within: largest distance of bodies that count as in contact [m].
+        force: the smallest normal force at a contact [N].
+
+    Returns:
+        Torques of the contacts, without those that hold the arm, (nv,) [N m or N]; and the largest share of a
+        torque limit with both, infinite if no such forces balance.
+    """
+    state = arm.at(q)
+    touched = _contacts(state, scene, [obstacle], within)
+    pushes = np.concatenate([touched.normals[:, None], _pyramids(touched.normals, friction)], axis=1)
+    rays = pushes.shape[1]
+    wrenches = _wrenches(scene_at(arm, state.q, scene), obstacle, touched, pushes)
+    torques = _torques(arm, state.q, touched, pushes)
+    size = np.abs(wrenches[3:]).max(initial=0.0) or 1.0
+    pressing = np.kron(np.eye(len(touched.points)), np.ones(rays))
+    found = linprog(
+        np.tile(np.append(NORMAL_PUSH, np.ones(rays - 1)), len(touched.points)),
+        A_ub=-pressing,
+        b_ub=np.full(len(pressing), -force),
+        A_eq=wrenches / np.repeat([1.0, size], 3)[:, None],
+        b_eq=np.zeros(6),
+        bounds=(0.0, None),
+    )
+    if not (found.success and len(touched.points)):
+        return np.zeros(arm.nv), np.inf
+    needed = torques @ found.x
+    limited = np.isfinite(arm.effort)
+    holding = state.gravity_torques if arm.torques_known else np.zeros(arm.nv)
+    shares = np.abs(needed + holding)[limited] / arm.effort[limited]
+    return needed, float(shares.max(initial=0.0))
 
 
 class _Touched(NamedTuple):
@@ -207,6 +255,13 @@ def _pyramid(normal: Array, friction: float) -> Array:
     angles = 2.0 * np.pi * np.arange(EDGES) / EDGES
     across = np.column_stack([np.cos(angles), np.sin(angles)]) @ z_along(normal)[:, :2].T
     return np.asarray(normal + friction * across)
+
+
+def _wrenches(scene: Scene, obstacle: str, touched: _Touched, pushes: Array) -> Array:
+    """Return forces on an object and torques about its middle, (6, c EDGES), per push."""
+    middle = np.array(solid_inertia(scene.obstacles[obstacle].geometry.solid()).lever)
+    wrenches = np.concatenate([pushes, np.cross((touched.points - middle)[:, None], pushes)], axis=2)
+    return np.asarray(wrenches.reshape(-1, 6).T)
 
 
 def _torques(arm: Arm, q: Array, touched: _Touched, pushes: Array) -> Array:

@@ -40,6 +40,7 @@ from pinposture.collision.model import MOTION_TOLERANCE, Distances, Pair
 from pinposture.collision.obstacles import displaced
 from pinposture.collision.wrapping import MAX_TURNS, Winding, winding_around
 from pinposture.control import EndEffector, Hold, JointPath, Limits, Objective, assess_hold, plan, retime
+from pinposture.control.hold import squeezing_torques
 from pinposture.control.limits import cycle_of
 from pinposture.control.reach import bring_to_goal
 from pinposture.control.tasks import link_axes
@@ -49,7 +50,7 @@ from pinposture.motion import JointTrajectory
 from pinposture.motion.files import Format, check_arrays, register
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.target import arm_axis
-from pinposture.schema import CheckedBy, Declared, Text, declared
+from pinposture.schema import CheckedBy, Declared, Text, declared, quantity
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -108,6 +109,8 @@ class Wrapping(Declared):
         turns: number of turns about its axis; negative: clockwise.
         friction: coefficient of friction between arm and object.
         squeeze: share by which the wrapped joints are commanded to bend further than where they touch.
+        force: normal force with which contacts are to press, in place of that share [N]; the stiffness of the
+            arm has to be known. None: the share.
 
     Raises:
         InvalidValue: an invalid value.
@@ -117,6 +120,7 @@ class Wrapping(Declared):
     turns: Annotated[float, CheckedBy(_as_turns)] = 1.0
     friction: Annotated[float, CheckedBy(partial(require_positive, zero=True))] = 1.0
     squeeze: Annotated[float, CheckedBy(_as_share)] = 0.1
+    force: Annotated[float, quantity("force", above=0.0)] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +247,7 @@ def wrap(
     turns: float = 1.0,
     friction: float = 1.0,
     squeeze: float = 0.1,
+    force: float | None = None,
 ) -> Grip:
     """Plan how an arm wraps around an object and squeezes it.
 
@@ -269,16 +274,20 @@ def wrap(
         friction: coefficient of friction, for the assessment of the hold.
         squeeze: share by which the wrapped joints are commanded to bend further than where they touch; less
             where they reach a limit, or the commanded arm would come too near to itself or to others.
+        force: normal force with which contacts are to press [N], in place of that share. The commands then
+            bend the joints further by the torques that this takes, divided by their stiffness, which has to
+            be known (`Arm.with_stiffness`). It is met in the mean on a hard object; how the load is shared
+            between contacts is up to friction. None: the share.
 
     Raises:
         UnknownName: there is no such obstacle.
         InvalidValue: an obstacle that is not touchable or cannot be wrapped, or an invalid argument.
         TaskError: the arm does not get around the object; says where and why.
-        WeightUnknown: masses of the arm that are not known.
+        WeightUnknown: masses of the arm, or with a force its stiffness, that are not known.
     """
     require_instance("arm", arm, Arm, "an Arm")
     require_instance("scene", scene, Scene, "a Scene(...)")
-    wrapping = Wrapping(obstacle, turns=turns, friction=friction, squeeze=squeeze)
+    wrapping = Wrapping(obstacle, turns=turns, friction=friction, squeeze=squeeze, force=force)
     require_touchable(obstacle, scene)
     start = arm.checked_start(q0, "q0")
     cycle_of(limits)
@@ -303,8 +312,16 @@ def find_grip(arm: Arm, wrapping: Wrapping, scene: Scene, start: Array, limits: 
     found = _Wrap(arm, obstacle, scene, wrapping.turns).find(start)
     way = found.winding
     touching = arm.integrate(found.opened, way[-1])
-    bent = np.where(_holds(arm, found.first), way[-1], 0.0)
-    held = _squeezed(arm, scene, obstacle, touching, wrapping.squeeze * bent)
+    further = wrapping.squeeze * way[-1]
+    if wrapping.force is not None:
+        further = _pressed(arm, touching, scene, wrapping)
+    further = np.where(_holds(arm, found.first), further, 0.0)
+    held = _squeezed(arm, scene, obstacle, touching, further)
+    if wrapping.force is not None and np.abs(arm.difference(held, touching) + further).max() > REACHED:
+        reason = (
+            f"the commands that press with {wrapping.force:g} N reach a limit, or the margin to something"
+        )
+        raise TaskError(_where(obstacle), f"{reason}; ask for less, or use stiffer joints")
     goal = Target.from_configuration(arm, found.opened)
     approach = plan(arm.at(start), goal, _untouchable(scene, obstacle), limits)
     if approach.blocked_by:
@@ -326,6 +343,26 @@ def find_grip(arm: Arm, wrapping: Wrapping, scene: Scene, start: Array, limits: 
         displacement=np.eye(4),
         ways=MappingProxyType(ways),
     )
+
+
+def _pressed(arm: Arm, touching: Array, scene: Scene, wrapping: Wrapping) -> Array:
+    """Return how far joints are commanded beyond contact, to press with a force, (nv,) [rad or m]."""
+    force = cast(float, wrapping.force)
+    torques, share = squeezing_torques(
+        arm,
+        touching,
+        scene,
+        wrapping.obstacle,
+        friction=wrapping.friction,
+        within=WITHIN * arm.length,
+        force=force,
+    )
+    if share > 1.0:
+        reason = f"pressing with {force:g} N takes {share:.3g} times the torque of a joint; ask for less"
+        if not isfinite(share):
+            reason = "no forces that press everywhere balance on it: more turns, or more friction, are needed"
+        raise TaskError(_where(wrapping.obstacle), reason)
+    return np.asarray(np.linalg.solve(arm.stiffness, torques))
 
 
 def _squeezed(arm: Arm, scene: Scene, obstacle: str, touching: Array, further: Array) -> Array:

@@ -25,6 +25,28 @@ def lifted() -> tuple[pp.Grip, pp.Grip]:
 
 
 @pytest.mark.soak
+def test_contacts_press_with_the_force_that_was_asked_for():
+    grip, _ = lifted()
+    servos = sim.Servos(frequency=10.0, gravity_compensation=True)
+    arm = grip.arm.with_stiffness(servos.stiffness(grip.arm))
+    force = 2.0
+    pressed = pp.wrap(
+        arm, "can", grip.scene, arm.straight(), grip.limits, turns=0.9, friction=0.5, force=force
+    )
+    contact = sim.ContactModel(friction=0.5, time_constant=2e-3)  # hard surfaces; the can stands still
+    motion = pp.JointTrajectory.joined([pressed.phases["wind"], pressed.phases["squeeze"]])
+    ended = sim.simulate(grip.arm, motion, servos, scene=grip.scene, contact=contact, hold=1.0)
+    normals = dict(zip(pressed.hold.bodies, pressed.hold.normals, strict=True))
+    measured = dict.fromkeys(normals, 0.0)
+    for (body, other), acting in zip(ended.contacts.pairs, ended.contacts.forces[-1], strict=True):
+        if other == "can" and body in normals:
+            measured[body] = -float(acting @ normals[body])
+    found = list(measured.values())
+    assert sum(found) / len(found) == pytest.approx(force, rel=0.2)
+    assert min(found) > 0.2 * force
+
+
+@pytest.mark.soak
 @pytest.mark.parametrize(("share", "held"), [(0.5, True), (1.5, False)])
 def test_the_can_is_lifted_up_to_about_the_mass_that_is_told(share, held):
     grip, high = lifted()

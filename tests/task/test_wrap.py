@@ -13,7 +13,7 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.errors import FileError, InvalidValue, TaskError, UnknownName
+from pinposture.errors import FileError, InvalidValue, TaskError, UnknownName, WeightUnknown
 
 LIMITS = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=2.0)
 CAN = pp.Cylinder((0.42, 0.12, -0.12), (0.42, 0.12, 0.12), 0.06)
@@ -222,6 +222,25 @@ def test_what_cannot_be_wrapped_is_refused_by_name(changes, error, named):
             given.pop("limits"),
             **given,
         )
+
+
+@pytest.mark.long
+def test_a_force_is_pressed_by_the_stiffness_of_the_joints_within_their_torques():
+    soft = arm().with_stiffness(20.0)
+    options = {"turns": 0.9, "friction": 0.5}
+    held = [
+        pp.wrap(a, "it", scene(CAN), a.straight(), LIMITS, **options, force=force)
+        for a, force in ((soft, 0.5), (soft, 1.0), (arm().with_stiffness(40.0), 1.0))
+    ]
+    once, twice, stiff = (each.arm.difference(each.touching, each.held) for each in held)
+    np.testing.assert_allclose(twice, 2.0 * once, atol=1e-6)  # a force is a torque,
+    np.testing.assert_allclose(stiff, once, atol=1e-6)  # and a torque is a stiffness times a displacement
+    with pytest.raises(TaskError, match="times the torque of a joint"):
+        pp.wrap(soft, "it", scene(CAN), soft.straight(), LIMITS, **options, force=50.0)
+    with pytest.raises(TaskError, match="reach a limit"):
+        pp.wrap(arm().with_stiffness(0.1), "it", scene(CAN), arm().straight(), LIMITS, **options, force=1.0)
+    with pytest.raises(WeightUnknown, match="stiffness"):
+        pp.wrap(arm(), "it", scene(CAN), arm().straight(), LIMITS, **options, force=1.0)
 
 
 @pytest.mark.long
