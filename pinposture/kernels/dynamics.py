@@ -2,6 +2,10 @@
 
 Vectors of a body are in world axes and refer to the origin of its frame, so that a base far from the origin
 of the world costs no digits.
+
+Passes along the joints treat several postures at once, one in each lane, so that the processor can compute
+them together: a row of a body has the number k of all lanes from `k * lanes` on. Kernels are compiled for
+`LANES` of them, and for one.
 """
 
 from __future__ import annotations
@@ -9,23 +13,36 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import SLIDES, Array1, Array2, Bodies, Joints, Nine, Three, TorqueSamples
-from pinposture.kernels.compiled import compiled, inlined, subkernel
+from pinposture.kernels.compiled import compiled, inlined
 from pinposture.kernels.kinematics import rotation_about, turn_row
+
+LANES = 8
+"""Number of postures that are computed together. With 4 a path of 40 joints took 9 % longer."""
 
 AXIS = 9
 LEVER = 12
 CENTER = 15
 INERTIA = 18
-PLACED_SIZE = 24
-"""Where a row of placed bodies has, after the orientation, the axis of the joint, the way to its origin from
-that of the frame that carries it, the centre of mass and the moments of inertia; and its length."""
+"""Where a row of a body has, after the orientation, the axis of the joint, the way to its origin from that of
+the frame that carries it, the centre of mass and the moments of inertia."""
 
-ACCELERATION = 6
-FORCE = 9
-MOMENT = 12
-MOVED_SIZE = 15
-"""Where a row of moved bodies has, after angular velocity and acceleration, the acceleration of the origin,
-and the force and the moment that it takes; and its length."""
+SPIN = 24
+SPIN_RATE = 27
+ACCELERATION = 30
+FORCE = 33
+MOMENT = 36
+"""Where it has angular velocity and acceleration, the acceleration of the origin, and the force and the
+moment that the body takes."""
+
+SPEED = 39
+CHANGE = 40
+TORQUE = 41
+"""Where it has velocity and acceleration of the joint, and its torque."""
+
+OTHER = 42
+ROW_SIZE = 51
+"""Where it has numbers of the frame that carries it; and its length. A loop over lanes that reads and writes
+one row alone needs no check whether two overlap."""
 
 
 @inlined
@@ -53,88 +70,121 @@ def scale(a: Three, factor: float) -> Three:
 
 
 @inlined
-def get(row: Array1, at: int) -> Three:
-    """Return three numbers of a row."""
-    return row[at], row[at + 1], row[at + 2]
+def get(row: Array1, at: int, lanes: int, w: int) -> Three:
+    """Return three numbers of a lane."""
+    return row[at * lanes + w], row[(at + 1) * lanes + w], row[(at + 2) * lanes + w]
 
 
 @inlined
-def put(row: Array1, at: int, a: Three) -> None:
-    """Store three numbers in a row."""
-    row[at] = a[0]
-    row[at + 1] = a[1]
-    row[at + 2] = a[2]
+def put(row: Array1, at: int, lanes: int, w: int, a: Three) -> None:
+    """Store three numbers in a lane."""
+    row[at * lanes + w] = a[0]
+    row[(at + 1) * lanes + w] = a[1]
+    row[(at + 2) * lanes + w] = a[2]
 
 
 @inlined
-def turned(row: Array1, x: float, y: float, z: float) -> Three:
-    """Return a vector of a frame in world axes; its orientation begins a row."""
-    return (
-        row[0] * x + row[1] * y + row[2] * z,
-        row[3] * x + row[4] * y + row[5] * z,
-        row[6] * x + row[7] * y + row[8] * z,
-    )
+def copy(source: Array1, first: int, size: int, lanes: int, filled: Array1) -> None:
+    """Copy numbers of another row, in all lanes."""
+    for k in range(size * lanes):
+        filled[OTHER * lanes + k] = source[first * lanes + k]
 
 
-@subkernel
-def place_bodies(joints: Joints, bodies: Bodies, positions: Array1, placed: Array2) -> None:
-    """Fill in orientations, axes, levers and centres of bodies, (k + 1, PLACED_SIZE), at joint positions."""
-    placed[0, :9] = 0.0
-    placed[0, 0] = 1.0
-    placed[0, 4] = 1.0
-    placed[0, 8] = 1.0
+@inlined
+def load(joints: Joints, values: Array2, first: int, at: int, lanes: int, rows: Array2) -> None:
+    """Store values of joints (s, nv) in all lanes, from those of one posture on; the last one fills the rest."""
+    last = len(values) - 1
+    for w in range(lanes):
+        s = min(first + w, last)
+        for u in range(len(joints.kinds)):
+            rows[u + 1, at * lanes + w] = joints.ratios[u] * values[s, joints.columns[u]]
+
+
+@inlined
+def unload(joints: Joints, first: int, lanes: int, rows: Array2, filled: Array2) -> None:
+    """Fill in the torques (s, nv) of all lanes, from one posture on."""
+    for w in range(min(lanes, len(filled) - first)):
+        filled[first + w] = 0.0
+        for u in range(len(joints.kinds)):
+            filled[first + w, joints.columns[u]] += joints.ratios[u] * rows[u + 1, TORQUE * lanes + w]
+
+
+@inlined
+def place_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> None:
+    """Fill in orientations, axes, levers and centres of bodies, (k + 1, ROW_SIZE lanes).
+
+    The positions of the joints are where their axes will be.
+    """
+    rows[0, : 9 * lanes] = 0.0
+    for w in range(lanes):
+        rows[0, w] = 1.0
+        rows[0, 4 * lanes + w] = 1.0
+        rows[0, 8 * lanes + w] = 1.0
     for u in range(len(joints.kinds)):  # for all at once, because the next loop would wait for each
-        q = joints.ratios[u] * positions[joints.columns[u]]
-        placed[u + 1, AXIS] = q if joints.kinds[u] == SLIDES else np.cos(q)
-        placed[u + 1, AXIS + 1] = np.sin(q)
+        if joints.kinds[u] != SLIDES:
+            row = rows[u + 1]
+            for w in range(lanes):
+                q = row[AXIS * lanes + w]
+                row[AXIS * lanes + w] = np.cos(q)
+                row[(AXIS + 1) * lanes + w] = np.sin(q)
     for u in range(len(joints.kinds)):
-        before = placed[joints.parents[u]]
-        row = placed[u + 1]
+        row = rows[u + 1]
+        copy(rows[joints.parents[u]], 0, 9, lanes, row)
         x = joints.axes[u, 0]
         y = joints.axes[u, 1]
         z = joints.axes[u, 2]
-        axis = turned(before, x, y, z)
-        lever = turned(before, joints.offsets[u, 0], joints.offsets[u, 1], joints.offsets[u, 2])
-        if joints.kinds[u] == SLIDES:
-            lever = add(lever, scale(axis, row[AXIS]))
-            row[:9] = before[:9]
-        else:
-            turn = rotation_about(x, y, z, row[AXIS], row[AXIS + 1])
-            put(row, 0, turn_row(before[0], before[1], before[2], turn))
-            put(row, 3, turn_row(before[3], before[4], before[5], turn))
-            put(row, 6, turn_row(before[6], before[7], before[8], turn))
-        put(row, AXIS, axis)
-        put(row, LEVER, lever)
-        put(row, CENTER, turned(row, bodies.centers[u, 0], bodies.centers[u, 1], bodies.centers[u, 2]))
-
-
-@subkernel
-def turn_inertias(bodies: Bodies, placed: Array2) -> None:
-    """Fill in the moments of inertia of placed bodies, xx, yy, zz, xy, xz, yz, world axes."""
-    for u in range(len(bodies.masses)):
-        row = placed[u + 1]
-        i = bodies.inertias[u]
-        inertia: Nine = (i[0], i[3], i[4], i[3], i[1], i[5], i[4], i[5], i[2])
-        first = turn_row(row[0], row[1], row[2], inertia)
-        second = turn_row(row[3], row[4], row[5], inertia)
-        third = turn_row(row[6], row[7], row[8], inertia)
-        row[INERTIA] = dot(first, (row[0], row[1], row[2]))
-        row[INERTIA + 1] = dot(second, (row[3], row[4], row[5]))
-        row[INERTIA + 2] = dot(third, (row[6], row[7], row[8]))
-        row[INERTIA + 3] = dot(first, (row[3], row[4], row[5]))
-        row[INERTIA + 4] = dot(first, (row[6], row[7], row[8]))
-        row[INERTIA + 5] = dot(second, (row[6], row[7], row[8]))
+        offset = (joints.offsets[u, 0], joints.offsets[u, 1], joints.offsets[u, 2])
+        center = (bodies.centers[u, 0], bodies.centers[u, 1], bodies.centers[u, 2])
+        slides = joints.kinds[u] == SLIDES
+        for w in range(lanes):
+            first = get(row, OTHER, lanes, w)
+            second = get(row, OTHER + 3, lanes, w)
+            third = get(row, OTHER + 6, lanes, w)
+            axis = (dot(first, (x, y, z)), dot(second, (x, y, z)), dot(third, (x, y, z)))
+            lever = (dot(first, offset), dot(second, offset), dot(third, offset))
+            if slides:
+                lever = add(lever, scale(axis, row[AXIS * lanes + w]))
+            else:
+                turn = rotation_about(x, y, z, row[AXIS * lanes + w], row[(AXIS + 1) * lanes + w])
+                first = turn_row(first[0], first[1], first[2], turn)
+                second = turn_row(second[0], second[1], second[2], turn)
+                third = turn_row(third[0], third[1], third[2], turn)
+            put(row, 0, lanes, w, first)
+            put(row, 3, lanes, w, second)
+            put(row, 6, lanes, w, third)
+            put(row, AXIS, lanes, w, axis)
+            put(row, LEVER, lanes, w, lever)
+            put(row, CENTER, lanes, w, (dot(first, center), dot(second, center), dot(third, center)))
 
 
 @inlined
-def turned_by(row: Array1, a: Three) -> Three:
+def turn_inertias(bodies: Bodies, lanes: int, rows: Array2) -> None:
+    """Fill in the moments of inertia of placed bodies, xx, yy, zz, xy, xz, yz, world axes."""
+    for u in range(len(bodies.masses)):
+        row = rows[u + 1]
+        xx = bodies.inertias[u, 0]
+        yy = bodies.inertias[u, 1]
+        zz = bodies.inertias[u, 2]
+        xy = bodies.inertias[u, 3]
+        xz = bodies.inertias[u, 4]
+        yz = bodies.inertias[u, 5]
+        inertia: Nine = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+        for w in range(lanes):
+            a = get(row, 0, lanes, w)
+            b = get(row, 3, lanes, w)
+            c = get(row, 6, lanes, w)
+            first = turn_row(a[0], a[1], a[2], inertia)
+            second = turn_row(b[0], b[1], b[2], inertia)
+            third = turn_row(c[0], c[1], c[2], inertia)
+            put(row, INERTIA, lanes, w, (dot(first, a), dot(second, b), dot(third, c)))
+            put(row, INERTIA + 3, lanes, w, (dot(first, b), dot(first, c), dot(second, c)))
+
+
+@inlined
+def turned_by(row: Array1, lanes: int, w: int, a: Three) -> Three:
     """Return the angular momentum of a placed body that turns about its centre of mass."""
-    xx = row[INERTIA]
-    yy = row[INERTIA + 1]
-    zz = row[INERTIA + 2]
-    xy = row[INERTIA + 3]
-    xz = row[INERTIA + 4]
-    yz = row[INERTIA + 5]
+    xx, yy, zz = get(row, INERTIA, lanes, w)
+    xy, xz, yz = get(row, INERTIA + 3, lanes, w)
     return (
         xx * a[0] + xy * a[1] + xz * a[2],
         xy * a[0] + yy * a[1] + yz * a[2],
@@ -142,91 +192,108 @@ def turned_by(row: Array1, a: Three) -> Three:
     )
 
 
-@subkernel
-def move_bodies_by(
-    joints: Joints,
-    bodies: Bodies,
-    velocities: Array1,
-    accelerations: Array1,
-    upward: Three,
-    placed: Array2,
-    moved: Array2,
-    filled: Array1,
-) -> None:
-    """Compute the torques of a motion of placed bodies.
+@inlined
+def move_bodies_by(joints: Joints, bodies: Bodies, upward: Three, lanes: int, rows: Array2) -> None:
+    """Compute the torques of a motion of placed bodies, without armature.
 
     Args:
         joints: the joints.
         bodies: the bodies.
-        velocities: joint velocities, (nv,).
-        accelerations: joint accelerations, (nv,).
         upward: acceleration of the base; minus that of gravity.
-        placed: the placed bodies, (k + 1, PLACED_SIZE).
-        moved: a buffer, (k + 1, MOVED_SIZE).
-        filled: filled with the torques, without armature, (nv,).
+        lanes: number of postures.
+        rows: the placed bodies, with velocities and accelerations of their joints.
     """
-    count = len(joints.kinds)
-    moved[0] = 0.0
-    put(moved[0], ACCELERATION, upward)
-    for u in range(count):
-        at = placed[u + 1]
-        before = moved[joints.parents[u]]
-        row = moved[u + 1]
-        column = joints.columns[u]
-        ratio = joints.ratios[u]
-        axis = get(at, AXIS)
-        lever = get(at, LEVER)
-        rate = scale(axis, ratio * velocities[column])
-        change = scale(axis, ratio * accelerations[column])
-        spin = get(before, 0)
-        spin_rate = get(before, 3)
-        origin = add(get(before, ACCELERATION), cross(spin_rate, lever))
-        origin = add(origin, cross(spin, cross(spin, lever)))
-        across = cross(spin, rate)
-        if joints.kinds[u] == SLIDES:
-            origin = add(origin, add(change, scale(across, 2.0)))
-        else:
-            spin_rate = add(spin_rate, add(change, across))
-            spin = add(spin, rate)
-        put(row, 0, spin)
-        put(row, 3, spin_rate)
-        put(row, ACCELERATION, origin)
-        center = get(at, CENTER)
-        pull = add(origin, add(cross(spin_rate, center), cross(spin, cross(spin, center))))
-        force = scale(pull, bodies.masses[u])
-        turning = add(turned_by(at, spin_rate), cross(spin, turned_by(at, spin)))
-        put(row, FORCE, force)
-        put(row, MOMENT, add(cross(center, force), turning))
-    _sum_forces(joints, placed, moved, filled)
-
-
-@subkernel
-def lift_bodies(
-    joints: Joints, bodies: Bodies, upward: Three, placed: Array2, moved: Array2, filled: Array1
-) -> None:
-    """Compute the torques of placed bodies at rest; as `move_bodies_by` without motion."""
-    moved[0] = 0.0
+    rows[0, SPIN * lanes : SPEED * lanes] = 0.0
+    for w in range(lanes):
+        put(rows[0], ACCELERATION, lanes, w, upward)
     for u in range(len(joints.kinds)):
+        row = rows[u + 1]
+        copy(rows[joints.parents[u]], SPIN, 9, lanes, row)
+        mass = bodies.masses[u]
+        slides = joints.kinds[u] == SLIDES
+        for w in range(lanes):
+            axis = get(row, AXIS, lanes, w)
+            lever = get(row, LEVER, lanes, w)
+            rate = scale(axis, row[SPEED * lanes + w])
+            change = scale(axis, row[CHANGE * lanes + w])
+            spin = get(row, OTHER, lanes, w)
+            spin_rate = get(row, OTHER + 3, lanes, w)
+            origin = add(get(row, OTHER + 6, lanes, w), cross(spin_rate, lever))
+            origin = add(origin, cross(spin, cross(spin, lever)))
+            across = cross(spin, rate)
+            if slides:
+                origin = add(origin, add(change, scale(across, 2.0)))
+            else:
+                spin_rate = add(spin_rate, add(change, across))
+                spin = add(spin, rate)
+            center = get(row, CENTER, lanes, w)
+            pull = add(origin, add(cross(spin_rate, center), cross(spin, cross(spin, center))))
+            force = scale(pull, mass)
+            turning = turned_by(row, lanes, w, spin_rate)
+            turning = add(turning, cross(spin, turned_by(row, lanes, w, spin)))
+            put(row, SPIN, lanes, w, spin)
+            put(row, SPIN_RATE, lanes, w, spin_rate)
+            put(row, ACCELERATION, lanes, w, origin)
+            put(row, FORCE, lanes, w, force)
+            put(row, MOMENT, lanes, w, add(cross(center, force), turning))
+    sum_forces(joints, lanes, rows)
+
+
+@inlined
+def lift_bodies(joints: Joints, bodies: Bodies, upward: Three, lanes: int, rows: Array2) -> None:
+    """Compute the torques of placed bodies at rest; as `move_bodies_by` without motion."""
+    for u in range(len(joints.kinds)):
+        row = rows[u + 1]
         force = scale(upward, bodies.masses[u])
-        put(moved[u + 1], FORCE, force)
-        put(moved[u + 1], MOMENT, cross(get(placed[u + 1], CENTER), force))
-    _sum_forces(joints, placed, moved, filled)
+        for w in range(lanes):
+            put(row, FORCE, lanes, w, force)
+            put(row, MOMENT, lanes, w, cross(get(row, CENTER, lanes, w), force))
+    sum_forces(joints, lanes, rows)
 
 
-@subkernel
-def _sum_forces(joints: Joints, placed: Array2, moved: Array2, filled: Array1) -> None:
+@inlined
+def sum_forces(joints: Joints, lanes: int, rows: Array2) -> None:
     """Add up forces and moments from the tips to the base, and take their part along each joint."""
-    filled[:] = 0.0
     for u in range(len(joints.kinds) - 1, -1, -1):
-        row = moved[u + 1]
-        at = placed[u + 1]
-        parent = moved[joints.parents[u]]
-        force = get(row, FORCE)
-        moment = get(row, MOMENT)
-        along = dot(get(at, AXIS), force if joints.kinds[u] == SLIDES else moment)
-        filled[joints.columns[u]] += joints.ratios[u] * along
-        put(parent, FORCE, add(get(parent, FORCE), force))
-        put(parent, MOMENT, add(get(parent, MOMENT), add(moment, cross(get(at, LEVER), force))))
+        row = rows[u + 1]
+        slides = joints.kinds[u] == SLIDES
+        for w in range(lanes):
+            axis = get(row, AXIS, lanes, w)
+            force = get(row, FORCE, lanes, w)
+            moment = get(row, MOMENT, lanes, w)
+            row[TORQUE * lanes + w] = dot(axis, force if slides else moment)
+            put(row, OTHER, lanes, w, force)
+            put(row, OTHER + 3, lanes, w, add(moment, cross(get(row, LEVER, lanes, w), force)))
+        parent = rows[joints.parents[u]]
+        for k in range(6 * lanes):
+            parent[FORCE * lanes + k] += row[OTHER * lanes + k]
+
+
+@inlined
+def move_some(
+    joints: Joints,
+    bodies: Bodies,
+    positions: Array2,
+    velocities: Array2,
+    accelerations: Array2,
+    lanes: int,
+    filled: Array2,
+) -> None:
+    """Compute `inverse_dynamics`, some motions at a time."""
+    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * lanes))
+    g = bodies.gravity
+    upward = (-g[0], -g[1], -g[2])
+    for first in range(0, len(positions), lanes):
+        load(joints, positions, first, AXIS, lanes, rows)
+        load(joints, velocities, first, SPEED, lanes, rows)
+        load(joints, accelerations, first, CHANGE, lanes, rows)
+        place_bodies(joints, bodies, lanes, rows)
+        turn_inertias(bodies, lanes, rows)
+        move_bodies_by(joints, bodies, upward, lanes, rows)
+        unload(joints, first, lanes, rows, filled)
+    for s in range(len(filled)):
+        for j in range(filled.shape[1]):
+            filled[s, j] += bodies.armature[j] * accelerations[s, j]
 
 
 @compiled
@@ -248,30 +315,32 @@ def inverse_dynamics(
         accelerations: joint accelerations, (s, nv).
         filled: filled with the torques, (s, nv).
     """
-    count = len(joints.kinds)
-    placed = np.empty((count + 1, PLACED_SIZE))
-    moved = np.empty((count + 1, MOVED_SIZE))
+    if len(positions) == 1:
+        move_some(joints, bodies, positions, velocities, accelerations, 1, filled)
+    else:
+        move_some(joints, bodies, positions, velocities, accelerations, LANES, filled)
+
+
+@inlined
+def lift_some(joints: Joints, bodies: Bodies, positions: Array2, lanes: int, filled: Array2) -> None:
+    """Compute `gravity_torques`, some postures at a time."""
+    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * lanes))
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
-    for s in range(len(positions)):
-        place_bodies(joints, bodies, positions[s], placed)
-        turn_inertias(bodies, placed)
-        move_bodies_by(joints, bodies, velocities[s], accelerations[s], upward, placed, moved, filled[s])
-        for j in range(filled.shape[1]):
-            filled[s, j] += bodies.armature[j] * accelerations[s, j]
+    for first in range(0, len(positions), lanes):
+        load(joints, positions, first, AXIS, lanes, rows)
+        place_bodies(joints, bodies, lanes, rows)
+        lift_bodies(joints, bodies, upward, lanes, rows)
+        unload(joints, first, lanes, rows, filled)
 
 
 @compiled
 def gravity_torques(joints: Joints, bodies: Bodies, positions: Array2, filled: Array2) -> None:
     """Compute the torques and forces that balance gravity, (s, nv); as `inverse_dynamics` at rest."""
-    count = len(joints.kinds)
-    placed = np.empty((count + 1, PLACED_SIZE))
-    moved = np.empty((count + 1, MOVED_SIZE))
-    g = bodies.gravity
-    upward = (-g[0], -g[1], -g[2])
-    for s in range(len(positions)):
-        place_bodies(joints, bodies, positions[s], placed)
-        lift_bodies(joints, bodies, upward, placed, moved, filled[s])
+    if len(positions) == 1:
+        lift_some(joints, bodies, positions, 1, filled)
+    else:
+        lift_some(joints, bodies, positions, LANES, filled)
 
 
 @compiled
@@ -295,44 +364,50 @@ def path_torques(
         dt: duration of a step; path speeds are in waypoints per step.
         filled: filled with the torques at equidistant places, from the start to the end.
     """
-    count = len(joints.kinds)
     nv = len(start)
     pieces = len(offsets) - 1
-    placed = np.empty((count + 1, PLACED_SIZE))
-    moved = np.empty((count + 1, MOVED_SIZE))
-    none = np.zeros(nv)
-    positions = np.empty(nv)
-    velocities = np.empty(nv)
-    accelerations = np.empty(nv)
-    changes = np.empty(nv)
+    samples = len(filled.a)
+    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * LANES))
+    none = np.zeros((1, nv))
+    positions = np.empty((LANES, nv))
+    velocities = np.empty((LANES, nv))
+    accelerations = np.empty((LANES, nv))
+    changes = np.empty((LANES, nv))
     floating = (0.0, 0.0, 0.0)
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
-    samples = len(filled.a)
-    for sample in range(samples):
-        place = sample * pieces / (samples - 1)
-        i = min(int(place), pieces - 1)
-        t = place - i
-        for j in range(nv):
-            one = slopes[i, j]
-            other = slopes[i + 1, j]
-            whole = offsets[i + 1, j] - offsets[i, j]
-            square = 3.0 * whole - 2.0 * one - other
-            cubic = one + other - 2.0 * whole
-            positions[j] = start[j] + offsets[i, j] + t * (one + t * (square + t * cubic))
-            velocities[j] = (one + t * (2.0 * square + t * 3.0 * cubic)) / dt
-            accelerations[j] = velocities[j] / dt
-            changes[j] = (2.0 * square + 6.0 * t * cubic) / dt**2
-        place_bodies(joints, bodies, positions, placed)
-        turn_inertias(bodies, placed)
-        a = filled.a[sample]
-        b = filled.b[sample]
-        lift_bodies(joints, bodies, upward, placed, moved, filled.c[sample])
-        move_bodies_by(joints, bodies, none, accelerations, floating, placed, moved, a)
-        move_bodies_by(joints, bodies, velocities, changes, floating, placed, moved, b)
-        for j in range(nv):
-            a[j] += bodies.armature[j] * accelerations[j]
-            b[j] += bodies.armature[j] * changes[j]
+    for first in range(0, samples, LANES):
+        for w in range(LANES):
+            place = min(first + w, samples - 1) * pieces / (samples - 1)
+            i = min(int(place), pieces - 1)
+            t = place - i
+            for j in range(nv):
+                one = slopes[i, j]
+                other = slopes[i + 1, j]
+                whole = offsets[i + 1, j] - offsets[i, j]
+                square = 3.0 * whole - 2.0 * one - other
+                cubic = one + other - 2.0 * whole
+                positions[w, j] = start[j] + offsets[i, j] + t * (one + t * (square + t * cubic))
+                velocities[w, j] = (one + t * (2.0 * square + t * 3.0 * cubic)) / dt
+                accelerations[w, j] = velocities[w, j] / dt
+                changes[w, j] = (2.0 * square + 6.0 * t * cubic) / dt**2
+        load(joints, positions, 0, AXIS, LANES, rows)
+        place_bodies(joints, bodies, LANES, rows)
+        turn_inertias(bodies, LANES, rows)
+        lift_bodies(joints, bodies, upward, LANES, rows)
+        unload(joints, first, LANES, rows, filled.c)
+        load(joints, none, 0, SPEED, LANES, rows)
+        load(joints, accelerations, 0, CHANGE, LANES, rows)
+        move_bodies_by(joints, bodies, floating, LANES, rows)
+        unload(joints, first, LANES, rows, filled.a)
+        load(joints, velocities, 0, SPEED, LANES, rows)
+        load(joints, changes, 0, CHANGE, LANES, rows)
+        move_bodies_by(joints, bodies, floating, LANES, rows)
+        unload(joints, first, LANES, rows, filled.b)
+        for w in range(min(LANES, samples - first)):
+            for j in range(nv):
+                filled.a[first + w, j] += bodies.armature[j] * accelerations[w, j]
+                filled.b[first + w, j] += bodies.armature[j] * changes[w, j]
 
 
 @compiled
@@ -350,24 +425,26 @@ def gravity_gradient(joints: Joints, bodies: Bodies, positions: Array1, filled: 
         filled: filled with the derivatives, (nv, nv).
     """
     count = len(joints.kinds)
-    placed = np.empty((count + 1, PLACED_SIZE))
+    placed = np.empty((count + 1, ROW_SIZE))
     carried = np.zeros((count + 1, 4))  # sum of masses, and of masses times levers, from the tips to the base
-    place_bodies(joints, bodies, positions, placed)
+    load(joints, positions.reshape((1, -1)), 0, AXIS, 1, placed)
+    place_bodies(joints, bodies, 1, placed)
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
     for u in range(count - 1, -1, -1):
         row = carried[u + 1]
         row[0] += bodies.masses[u]
-        put(row, 1, add(get(row, 1), scale(get(placed[u + 1], CENTER), bodies.masses[u])))
+        put(row, 1, 1, 0, add(get(row, 1, 1, 0), scale(get(placed[u + 1], CENTER, 1, 0), bodies.masses[u])))
         parent = carried[joints.parents[u]]
         parent[0] += row[0]
-        put(parent, 1, add(get(parent, 1), add(get(row, 1), scale(get(placed[u + 1], LEVER), row[0]))))
+        passed = add(get(row, 1, 1, 0), scale(get(placed[u + 1], LEVER, 1, 0), row[0]))
+        put(parent, 1, 1, 0, add(get(parent, 1, 1, 0), passed))
     filled[:] = 0.0
     for u in range(count):
-        axis = get(placed[u + 1], AXIS)
+        axis = get(placed[u + 1], AXIS, 1, 0)
         lifted = scale(axis, carried[u + 1, 0])  # motion of the masses, per motion of the joint
         if joints.kinds[u] != SLIDES:
-            lifted = cross(axis, get(carried[u + 1], 1))
+            lifted = cross(axis, get(carried[u + 1], 1, 1, 0))
         i = joints.columns[u]
         frame = u + 1
         while frame > 0:
@@ -375,7 +452,7 @@ def gravity_gradient(joints: Joints, bodies: Bodies, positions: Array1, filled: 
             if joints.kinds[v] != SLIDES:
                 j = joints.columns[v]
                 slope = (
-                    joints.ratios[u] * joints.ratios[v] * dot(upward, cross(get(placed[frame], AXIS), lifted))
+                    joints.ratios[u] * joints.ratios[v] * dot(upward, cross(get(placed[frame], AXIS, 1, 0), lifted))
                 )
                 filled[i, j] += slope
                 if u != v:
