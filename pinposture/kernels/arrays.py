@@ -278,6 +278,18 @@ class ProfileRows(NamedTuple):
     limit: Array1
 
 
+class PathParts(NamedTuple):
+    """The K parts of a path, of which each piece between waypoints has one or more of equal length.
+
+    Attributes:
+        piece: the piece in which each part is, (K,).
+        first: the first part of each of the N pieces, and K, (N + 1,).
+    """
+
+    piece: Ints1
+    first: Ints1
+
+
 class TorqueSamples(NamedTuple):
     """Torques a u + b x + c at places on a path, of a path acceleration u and a squared path speed x.
 
@@ -299,8 +311,9 @@ class TimedPathArrays(NamedTuple):
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m].
         slopes: change of it per waypoint, (N + 1, nv).
         start: joint positions at the start, (nv,) [rad or m].
-        top: the highest speed at equidistant places, (K + 1,) [waypoints per step]; empty without a profile.
-        rows: the limits of the K parts in between.
+        top: the highest speed between its parts, (K + 1,) [waypoints per step]; empty without a profile.
+        rows: the limits of its parts.
+        parts: the parts.
         most: largest number of waypoints of one step; may be infinite.
         small: slope that counts as zero, relative to the largest.
     """
@@ -310,6 +323,7 @@ class TimedPathArrays(NamedTuple):
     start: Array1
     top: Array1
     rows: ProfileRows
+    parts: PathParts
     most: float
     small: float
 

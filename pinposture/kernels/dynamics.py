@@ -44,6 +44,12 @@ ROW_SIZE = 51
 """Where it has numbers of the frame that carries it; and its length. A loop over lanes that reads and writes
 one row alone needs no check whether two overlap."""
 
+QUARTER = 0.5 * np.pi
+QUARTER_HIGH = float.fromhex("0x1.921fb544p0")
+QUARTER_MIDDLE = float.fromhex("0x1.0b4611a6p-34")
+QUARTER_LOW = float.fromhex("0x1.3198a2e037073p-69")
+"""A quarter turn [rad], and three parts of it: 33 bits, the next 33, and what is left."""
+
 
 @inlined
 def cross(a: Three, b: Three) -> Three:
@@ -70,6 +76,29 @@ def scale(a: Three, factor: float) -> Three:
 
 
 @inlined
+def cosine_and_sine(angle: float) -> tuple[float, float]:
+    """Return cosine and sine of an angle [rad], in operations that processors apply to several at once.
+
+    They are the power series of what is left beside the nearest quarter turn, up to where further terms are
+    less than rounding. Up to 1e5 rad they are within 3e-16 of the exact ones.
+    """
+    turns = np.floor(angle * (1.0 / QUARTER) + 0.5)
+    x = ((angle - turns * QUARTER_HIGH) - turns * QUARTER_MIDDLE) - turns * QUARTER_LOW
+    y = -x * x
+    c = 1.0 + y * (1.0 / 182.0) * (1.0 + y * (1.0 / 240.0))
+    c = 1.0 + y * (1.0 / 56.0) * (1.0 + y * (1.0 / 90.0) * (1.0 + y * (1.0 / 132.0) * c))
+    c = 1.0 + y * (1.0 / 2.0) * (1.0 + y * (1.0 / 12.0) * (1.0 + y * (1.0 / 30.0) * c))
+    s = 1.0 + y * (1.0 / 156.0) * (1.0 + y * (1.0 / 210.0) * (1.0 + y * (1.0 / 272.0)))
+    s = 1.0 + y * (1.0 / 42.0) * (1.0 + y * (1.0 / 72.0) * (1.0 + y * (1.0 / 110.0) * s))
+    s = x * (1.0 + y * (1.0 / 6.0) * (1.0 + y * (1.0 / 20.0) * s))
+    quarter = turns - 4.0 * np.floor(0.25 * turns)
+    swaps = abs(quarter - 2.0) == 1.0
+    cosine = s if swaps else c
+    sine = c if swaps else s
+    return (-cosine if abs(quarter - 1.5) == 0.5 else cosine), (-sine if quarter >= 2.0 else sine)
+
+
+@inlined
 def get(row: Array1, at: int, lanes: int, w: int) -> Three:
     """Return three numbers of a lane."""
     return row[at * lanes + w], row[(at + 1) * lanes + w], row[(at + 2) * lanes + w]
@@ -84,29 +113,35 @@ def put(row: Array1, at: int, lanes: int, w: int, a: Three) -> None:
 
 
 @inlined
-def copy(source: Array1, first: int, size: int, lanes: int, filled: Array1) -> None:
+def copy_lanes(source: Array1, first: int, size: int, lanes: int, filled: Array1) -> None:
     """Copy numbers of another row, in all lanes."""
     for k in range(size * lanes):
         filled[OTHER * lanes + k] = source[first * lanes + k]
 
 
 @inlined
-def load(joints: Joints, values: Array2, first: int, at: int, lanes: int, rows: Array2) -> None:
-    """Store values of joints (s, nv) in all lanes, from those of one posture on; the last one fills the rest."""
+def load_lanes(joints: Joints, values: Array2, first: int, at: int, lanes: int, rows: Array2) -> None:
+    """Store values of joints (s, nv) in all lanes, from those of one posture on; the last fills the rest."""
     last = len(values) - 1
-    for w in range(lanes):
-        s = min(first + w, last)
-        for u in range(len(joints.kinds)):
-            rows[u + 1, at * lanes + w] = joints.ratios[u] * values[s, joints.columns[u]]
+    for u in range(len(joints.kinds)):
+        row = rows[u + 1]
+        ratio = joints.ratios[u]
+        column = joints.columns[u]
+        for w in range(lanes):
+            row[at * lanes + w] = ratio * values[min(first + w, last), column]
 
 
 @inlined
-def unload(joints: Joints, first: int, lanes: int, rows: Array2, filled: Array2) -> None:
+def unload_lanes(joints: Joints, first: int, lanes: int, rows: Array2, filled: Array2) -> None:
     """Fill in the torques (s, nv) of all lanes, from one posture on."""
-    for w in range(min(lanes, len(filled) - first)):
-        filled[first + w] = 0.0
-        for u in range(len(joints.kinds)):
-            filled[first + w, joints.columns[u]] += joints.ratios[u] * rows[u + 1, TORQUE * lanes + w]
+    some = min(lanes, len(filled) - first)
+    filled[first : first + some] = 0.0
+    for u in range(len(joints.kinds)):
+        row = rows[u + 1]
+        ratio = joints.ratios[u]
+        column = joints.columns[u]
+        for w in range(some):
+            filled[first + w, column] += ratio * row[TORQUE * lanes + w]
 
 
 @inlined
@@ -124,12 +159,12 @@ def place_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> No
         if joints.kinds[u] != SLIDES:
             row = rows[u + 1]
             for w in range(lanes):
-                q = row[AXIS * lanes + w]
-                row[AXIS * lanes + w] = np.cos(q)
-                row[(AXIS + 1) * lanes + w] = np.sin(q)
+                cosine, sine = cosine_and_sine(row[AXIS * lanes + w])
+                row[AXIS * lanes + w] = cosine
+                row[(AXIS + 1) * lanes + w] = sine
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
-        copy(rows[joints.parents[u]], 0, 9, lanes, row)
+        copy_lanes(rows[joints.parents[u]], 0, 9, lanes, row)
         x = joints.axes[u, 0]
         y = joints.axes[u, 1]
         z = joints.axes[u, 2]
@@ -208,7 +243,7 @@ def move_bodies_by(joints: Joints, bodies: Bodies, upward: Three, lanes: int, ro
         put(rows[0], ACCELERATION, lanes, w, upward)
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
-        copy(rows[joints.parents[u]], SPIN, 9, lanes, row)
+        copy_lanes(rows[joints.parents[u]], SPIN, 9, lanes, row)
         mass = bodies.masses[u]
         slides = joints.kinds[u] == SLIDES
         for w in range(lanes):
@@ -284,13 +319,13 @@ def move_some(
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
     for first in range(0, len(positions), lanes):
-        load(joints, positions, first, AXIS, lanes, rows)
-        load(joints, velocities, first, SPEED, lanes, rows)
-        load(joints, accelerations, first, CHANGE, lanes, rows)
+        load_lanes(joints, positions, first, AXIS, lanes, rows)
+        load_lanes(joints, velocities, first, SPEED, lanes, rows)
+        load_lanes(joints, accelerations, first, CHANGE, lanes, rows)
         place_bodies(joints, bodies, lanes, rows)
         turn_inertias(bodies, lanes, rows)
         move_bodies_by(joints, bodies, upward, lanes, rows)
-        unload(joints, first, lanes, rows, filled)
+        unload_lanes(joints, first, lanes, rows, filled)
     for s in range(len(filled)):
         for j in range(filled.shape[1]):
             filled[s, j] += bodies.armature[j] * accelerations[s, j]
@@ -328,10 +363,10 @@ def lift_some(joints: Joints, bodies: Bodies, positions: Array2, lanes: int, fil
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
     for first in range(0, len(positions), lanes):
-        load(joints, positions, first, AXIS, lanes, rows)
+        load_lanes(joints, positions, first, AXIS, lanes, rows)
         place_bodies(joints, bodies, lanes, rows)
         lift_bodies(joints, bodies, upward, lanes, rows)
-        unload(joints, first, lanes, rows, filled)
+        unload_lanes(joints, first, lanes, rows, filled)
 
 
 @compiled
@@ -391,19 +426,19 @@ def path_torques(
                 velocities[w, j] = (one + t * (2.0 * square + t * 3.0 * cubic)) / dt
                 accelerations[w, j] = velocities[w, j] / dt
                 changes[w, j] = (2.0 * square + 6.0 * t * cubic) / dt**2
-        load(joints, positions, 0, AXIS, LANES, rows)
+        load_lanes(joints, positions, 0, AXIS, LANES, rows)
         place_bodies(joints, bodies, LANES, rows)
         turn_inertias(bodies, LANES, rows)
         lift_bodies(joints, bodies, upward, LANES, rows)
-        unload(joints, first, LANES, rows, filled.c)
-        load(joints, none, 0, SPEED, LANES, rows)
-        load(joints, accelerations, 0, CHANGE, LANES, rows)
+        unload_lanes(joints, first, LANES, rows, filled.c)
+        load_lanes(joints, none, 0, SPEED, LANES, rows)
+        load_lanes(joints, accelerations, 0, CHANGE, LANES, rows)
         move_bodies_by(joints, bodies, floating, LANES, rows)
-        unload(joints, first, LANES, rows, filled.a)
-        load(joints, velocities, 0, SPEED, LANES, rows)
-        load(joints, changes, 0, CHANGE, LANES, rows)
+        unload_lanes(joints, first, LANES, rows, filled.a)
+        load_lanes(joints, velocities, 0, SPEED, LANES, rows)
+        load_lanes(joints, changes, 0, CHANGE, LANES, rows)
         move_bodies_by(joints, bodies, floating, LANES, rows)
-        unload(joints, first, LANES, rows, filled.b)
+        unload_lanes(joints, first, LANES, rows, filled.b)
         for w in range(min(LANES, samples - first)):
             for j in range(nv):
                 filled.a[first + w, j] += bodies.armature[j] * accelerations[w, j]
@@ -427,7 +462,7 @@ def gravity_gradient(joints: Joints, bodies: Bodies, positions: Array1, filled: 
     count = len(joints.kinds)
     placed = np.empty((count + 1, ROW_SIZE))
     carried = np.zeros((count + 1, 4))  # sum of masses, and of masses times levers, from the tips to the base
-    load(joints, positions.reshape((1, -1)), 0, AXIS, 1, placed)
+    load_lanes(joints, positions.reshape((1, -1)), 0, AXIS, 1, placed)
     place_bodies(joints, bodies, 1, placed)
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
@@ -451,9 +486,8 @@ def gravity_gradient(joints: Joints, bodies: Bodies, positions: Array1, filled: 
             v = frame - 1
             if joints.kinds[v] != SLIDES:
                 j = joints.columns[v]
-                slope = (
-                    joints.ratios[u] * joints.ratios[v] * dot(upward, cross(get(placed[frame], AXIS, 1, 0), lifted))
-                )
+                turn = get(placed[frame], AXIS, 1, 0)
+                slope = joints.ratios[u] * joints.ratios[v] * dot(upward, cross(turn, lifted))
                 filled[i, j] += slope
                 if u != v:
                     filled[j, i] += slope

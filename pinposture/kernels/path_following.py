@@ -16,6 +16,7 @@ from pinposture.kernels.arrays import (
     LimitArrays,
     NextSteps,
     PathMotion,
+    PathParts,
     PathTolerances,
     PointGoals,
     ProfileRows,
@@ -23,7 +24,7 @@ from pinposture.kernels.arrays import (
     TimedPathArrays,
     TorqueSamples,
 )
-from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.compiled import compiled, inlined, subkernel
 from pinposture.kernels.kinematics import placements
 
 STEP_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
@@ -43,7 +44,7 @@ class PathSpeedSettings(NamedTuple):
     changed none of these runs."""
 
     least_extra: float = 0.002
-    """Torque that motions may take where holding the arm takes more than their share, relative to that."""
+    """Torque that motions may take in any case, relative to that which holds the arm."""
 
     iterations: int = 60
     """Largest number of iterations for the speed at a place."""
@@ -108,13 +109,39 @@ def spline_slopes(x: Array2, slopes: Array2) -> None:
 # So have torques, of which gravity takes c. They are not quadratic, but close to it in a part.
 
 
+@inlined
+def _part_length(parts: PathParts, part: int) -> float:
+    """Return the length of a part [waypoints]."""
+    piece = parts.piece[part]
+    return 1.0 / (parts.first[piece + 1] - parts.first[piece])
+
+
+@inlined
+def _part_at(parts: PathParts, place: float) -> float:
+    """Return a place on a path, in waypoints, in parts from the start."""
+    piece = min(int(place), len(parts.first) - 2)
+    count = parts.first[piece + 1] - parts.first[piece]
+    return place * count - piece * count + parts.first[piece]  # where all are alike, no rounding is added
+
+
+@inlined
+def _place_at(parts: PathParts, at: float, part: int) -> float:
+    """Return a place in or at the end of a part, in parts from the start of the path, in waypoints."""
+    piece = parts.piece[part]
+    count = parts.first[piece + 1] - parts.first[piece]
+    return (at - parts.first[piece] + piece * count) / count
+
+
 @subkernel
-def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3, steepest: Array2) -> None:
-    """Fill in a and b of the joints, (N parts, 3, nv or more), and the largest |q'| on it, (N parts, nv)."""
-    h = 1.0 / parts
+def _find_rows(
+    offsets: Array2, slopes: Array2, parts: PathParts, a: Array3, b: Array3, steepest: Array2
+) -> None:
+    """Fill in a and b of the joints, (K, 3, nv or more), and the largest |q'| of each part, (K, nv)."""
     for i in range(len(offsets) - 1):
-        for part in range(parts):
-            at = i * parts + part
+        count = parts.first[i + 1] - parts.first[i]
+        h = 1.0 / count
+        for part in range(count):
+            at = parts.first[i] + part
             s = part * h
             for j in range(offsets.shape[1]):
                 one = slopes[i, j]
@@ -142,21 +169,21 @@ def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3
 
 @compiled
 def fill_torque_rows(
-    samples: TorqueSamples, pieces: int, largest: float, rows: ProfileRows, first: int
+    samples: TorqueSamples, parts: PathParts, largest: float, share: float, rows: ProfileRows, first: int
 ) -> None:
     """Fill in the rows of torques, by cubic interpolation between samples.
 
     Args:
         samples: torques at four or more equidistant places on the path, from `path_torques`.
-        pieces: number of pieces of the path.
+        parts: the parts of the path.
         largest: factor of all rows.
+        share: share of the torque that holding the arm leaves, which motions may take.
         rows: the rows; `limit` is given. In rows of accelerations, c is filled with zeros.
         first: index of the first row of torques.
     """
     last = len(samples.a) - 1
     nv = samples.a.shape[1]
-    count = len(rows.a)
-    h = pieces / count
+    per_piece = last / (len(parts.first) - 1)
     here = np.empty((3, 3 * nv))  # at the start, the middle and the end of a part
     every = np.empty((last + 1, 3 * nv))
     for k in range(last + 1):
@@ -164,11 +191,14 @@ def fill_torque_rows(
         every[k, nv : 2 * nv] = samples.b[k]
         every[k, 2 * nv :] = samples.c[k]
     _between(every, 0.0, here[2])
-    for k in range(count):
+    for k in range(len(parts.piece)):
+        piece = parts.piece[k]
+        h = 1.0 / (parts.first[piece + 1] - parts.first[piece])
+        part = k - parts.first[piece]
         here[0] = here[2]
         rows.c[k, :, :first] = 0.0
-        _between(every, (k + 0.5) * last / count, here[1])
-        _between(every, (k + 1.0) * last / count, here[2])
+        _between(every, (piece + (part + 0.5) * h) * per_piece, here[1])
+        _between(every, (piece + (part + 1.0) * h) * per_piece, here[2])
         for j in range(nv):
             b0 = here[0, nv + j]
             b1 = here[1, nv + j]
@@ -179,9 +209,12 @@ def fill_torque_rows(
             a0 = here[0, j]
             a1 = here[1, j] + h * b1  # x has changed by 2 s u after a distance s
             a2 = here[2, j] + 2.0 * h * b2
-            # Where holding the arm takes nearly all, it may move slowly.
-            held = (1.0 + PATH_SPEED.least_extra) * largest * max(abs(c0), abs(c1), abs(c2))
-            factor = largest / max(held / rows.limit[first + j], 1.0)
+            # Motions may take their share of what holding the arm leaves, and always a little.
+            limit = rows.limit[first + j]
+            held = largest * max(abs(c0), abs(c1), abs(c2))
+            allowed = min(share * limit + (1.0 - share) * held, limit)
+            allowed = max(allowed, (1.0 + PATH_SPEED.least_extra) * held)
+            factor = largest * limit / allowed if limit < np.inf else largest
             rows.a[k, 0, first + j] = factor * a0
             rows.b[k, 0, first + j] = factor * b0
             rows.c[k, 0, first + j] = factor * c0
@@ -209,15 +242,18 @@ def _between(samples: Array2, place: float, filled: Array1) -> None:
 
 @subkernel
 def _acceleration_range(
-    rows: ProfileRows, part: int, tiny: float, x: float
+    rows: ProfileRows, begin: int, stop: int, part: int, tiny: float, x: float
 ) -> tuple[float, float, float, float]:
-    """Return the range of u in which |a u + b x + c| <= limit, and the derivatives of its ends by x."""
+    """Return the range of u in which |a u + b x + c| <= limit, and the derivatives of its ends by x.
+
+    The quantities from `begin` to `stop` count.
+    """
     low = -np.inf
     high = np.inf
     low_slope = 0.0
     high_slope = 0.0
     for row in range(3):
-        for j in range(len(rows.limit)):
+        for j in range(np.uintp(begin), np.uintp(stop)):
             a = rows.a[part, row, j]
             if abs(a) <= tiny or rows.limit[j] == np.inf:
                 continue
@@ -234,17 +270,41 @@ def _acceleration_range(
 
 
 @subkernel
-def _fastest_start(rows: ProfileRows, part: int, tiny: float, h: float, most: float, after: float) -> float:
-    """Return the largest x, up to `most`, from which a part can be followed to an x of at most `after`."""
+def _are_kept(rows: ProfileRows, begin: int, part: int, u: float, x: float) -> bool:
+    """Check whether the quantities from `begin` on are within their limits."""
+    exceeded = 0
+    for row in range(3):
+        for j in range(np.uintp(begin), np.uintp(len(rows.limit))):
+            value = rows.a[part, row, j] * u + rows.b[part, row, j] * x + rows.c[part, row, j]
+            exceeded += abs(value) > (1.0 + PATH_SPEED.rounding) * rows.limit[j]
+    return exceeded == 0
+
+
+@subkernel
+def _fastest_start(
+    rows: ProfileRows,
+    begin: int,
+    stop: int,
+    part: int,
+    tiny: float,
+    h: float,
+    most: float,
+    after: float,
+) -> tuple[float, float]:
+    """Return the largest x, up to `most`, from which a part of length h can be followed to an x of `after`.
+
+    The quantities from `begin` to `stop` count. The second value is the largest u at that x.
+    """
     x = most
     for row in range(3):
-        for j in range(len(rows.limit)):
-            b = rows.b[part, row, j]
-            room = rows.limit[j] - np.copysign(1.0, b) * rows.c[part, row, j]
-            if abs(rows.a[part, row, j]) <= tiny and abs(b) * x > room:
-                x = max(room, 0.0) / abs(b)
+        for j in range(np.uintp(begin), np.uintp(stop)):
+            if abs(rows.a[part, row, j]) <= tiny:
+                b = rows.b[part, row, j]
+                room = rows.limit[j] - np.copysign(1.0, b) * rows.c[part, row, j]
+                if abs(b) * x > room:
+                    x = max(room, 0.0) / abs(b)
     for _ in range(PATH_SPEED.iterations):  # Newton's method on a convex function
-        low, high, low_slope, high_slope = _acceleration_range(rows, part, tiny, x)
+        low, high, low_slope, high_slope = _acceleration_range(rows, begin, stop, part, tiny, x)
         if (after - x) / (2.0 * h) < high:
             high = (after - x) / (2.0 * h)
             high_slope = -0.5 / h
@@ -253,14 +313,14 @@ def _fastest_start(rows: ProfileRows, part: int, tiny: float, h: float, most: fl
             low_slope = -0.5 / h
         excess = low - high
         if excess <= PATH_SPEED.rounding * (abs(low) + abs(high) + x / h):  # both may be nearly zero
-            return x
+            return x, high
         fall = low_slope - high_slope
         if fall <= 0.0:
-            return 0.0
+            break
         x -= excess / fall
         if x <= 0.0:
-            return 0.0
-    return 0.0
+            break
+    return 0.0, 0.0
 
 
 @compiled
@@ -271,6 +331,7 @@ def find_speed_profile(
     start_speed: float,
     most: Array1,
     small: float,
+    parts: PathParts,
     rows: ProfileRows,
     top: Array1,
 ) -> None:
@@ -283,14 +344,14 @@ def find_speed_profile(
         start_speed: number of waypoints in the step before the first one.
         most: largest number of waypoints of one step between two of them, (N,); may be infinite.
         small: slope that counts as zero, relative to the largest.
-        rows: limits of the parts into which the waypoints are divided. Filled are a and b of the joints, from
-            the start, the middle and the end of each part; those of torques are given.
-        top: filled with the speed where they begin, and at the end, (N parts + 1,) [waypoints per step].
+        parts: the parts of the path.
+        rows: their limits. Filled are a and b of the joints, from the start, the middle and the end of each
+            part; those of torques are given.
+        top: filled with the speed where they begin, and at the end, (K + 1,) [waypoints per step].
     """
     count = len(rows.a)
     joints = offsets.shape[1]
-    parts = count // (len(offsets) - 1)
-    h = 1.0 / parts
+    every = len(rows.limit)
     tiny = 1e-100
     steepest = np.empty((count, joints))
     _find_rows(offsets, slopes, parts, rows.a, rows.b, steepest)
@@ -299,7 +360,7 @@ def find_speed_profile(
             tiny = max(tiny, small * steepest[i, j])
     top[:] = float(len(offsets)) ** 2
     for i in range(count):
-        fastest = most[i // parts] ** 2
+        fastest = most[parts.piece[i]] ** 2
         top[i] = min(top[i], fastest)
         top[i + 1] = min(top[i + 1], fastest)
         for j in range(joints):
@@ -307,50 +368,67 @@ def find_speed_profile(
                 fastest = (bound[j] / steepest[i, j]) ** 2
                 top[i] = min(top[i], fastest)
                 top[i + 1] = min(top[i + 1], fastest)
-    stops = False
-    for j in range(len(rows.limit)):
+    begin = joints  # of the quantities that are limited
+    for j in range(joints):
+        if np.isfinite(rows.limit[j]):
+            begin = 0
+    stops = begin == 0
+    for j in range(joints, every):
         stops = stops or np.isfinite(rows.limit[j])
     if stops:
-        loss = -_acceleration_range(rows, count - 1, tiny, 0.0)[0]
+        loss = -_acceleration_range(rows, begin, every, count - 1, tiny, 0.0)[0]
         if np.sqrt(top[count]) > 0.5 * loss:  # else it can stop at once
             top[count] = 0.0
-        gain = _acceleration_range(rows, 0, tiny, 0.0)[1]
+        gain = _acceleration_range(rows, begin, every, 0, tiny, 0.0)[1]
         # Half a step, before the first half of the next.
         top[0] = min(top[0], (start_speed + 0.5 * gain) ** 2)
+        # Torques count only where they exceed their limits without.
         for i in range(count - 1, -1, -1):
-            top[i] = _fastest_start(rows, i, tiny, h, top[i], top[i + 1])
+            h = _part_length(parts, i)
+            x, u = _fastest_start(rows, begin, joints, i, tiny, h, top[i], top[i + 1])
+            if every > joints and not _are_kept(rows, joints, i, u, x):
+                x, u = _fastest_start(rows, begin, every, i, tiny, h, x, top[i + 1])
+            top[i] = x
         for i in range(count):
-            high = _acceleration_range(rows, i, tiny, top[i])[1]
-            top[i + 1] = min(top[i + 1], max(top[i] + 2.0 * h * high, 0.0))
+            h = _part_length(parts, i)
+            high = _acceleration_range(rows, begin, joints, i, tiny, top[i])[1]
+            reached = min(top[i + 1], max(top[i] + 2.0 * h * high, 0.0))
+            if every > joints and not _are_kept(rows, joints, i, (reached - top[i]) / (2.0 * h), top[i]):
+                high = _acceleration_range(rows, joints, every, i, tiny, top[i])[1]
+                reached = min(reached, max(top[i] + 2.0 * h * high, 0.0))
+            top[i + 1] = reached
     for i in range(count + 1):
         top[i] = np.sqrt(top[i])
 
 
 @subkernel
-def _travel(place: float, top: Array1, parts: int, onward: bool) -> float:
+def _travel(parts: PathParts, place: float, top: Array1, onward: bool) -> float:
     """Return the distance along the profile from a place in the next step, or in the previous one."""
     last = len(top) - 1
     left = 1.0
-    at = place * parts
+    at = _part_at(parts, place)
     sign = 1.0 if onward else -1.0
+    i = 0
     while left > 0.0:
         i = min(int(at), last - 1) if onward else max(int(np.ceil(at)) - 1, 0)
+        piece = parts.piece[i]
+        count = parts.first[piece + 1] - parts.first[piece]
         to = i + 1.0 if onward else float(i)
         share = at - i
         squares = (1.0 - share) * top[i] ** 2 + share * top[i + 1] ** 2
         change = top[i + 1] ** 2 - top[i] ** 2
         here = np.sqrt(squares)
         there = top[i + 1] if onward else top[i]
-        passed = 2.0 * abs(to - at) / (parts * max(here + there, 1e-100))
+        passed = 2.0 * abs(to - at) / (count * max(here + there, 1e-100))
         if passed > left:
-            gain = 0.5 * parts * change  # acceleration
-            at += sign * parts * max(here * left + sign * 0.5 * gain * left**2, 0.0)
+            gain = 0.5 * count * change  # acceleration
+            at += sign * count * max(here * left + sign * 0.5 * gain * left**2, 0.0)
             break
         left -= passed
         at = to
         if at >= last or at <= 0.0:
             break
-    return abs(at / parts - place)
+    return abs(_place_at(parts, at, i) - place)
 
 
 @compiled
@@ -359,34 +437,34 @@ def next_path_speed(
     rate: float,
     small: float,
     most: float,
+    parts: PathParts,
     rows: ProfileRows,
     top: Array1,
-    waypoints: int,
 ) -> float:
     """Return the number of waypoints to advance in a step from a place, in waypoints from the start.
 
     `rate` is that number in the previous step, and `most` the largest one. Other arguments are as for
-    `find_speed_profile`; `waypoints` is N.
+    `find_speed_profile`.
     """
     count = len(rows.a)
-    parts = count // waypoints
-    left = waypoints - place
-    wanted = min(_travel(place, top, parts, True), most)
+    every = len(rows.limit)
+    left = len(parts.first) - 1 - place
+    wanted = min(_travel(parts, place, top, True), most)
     if place <= 0.0:
         return min(wanted, left)
     # Off the profile, steps change as much as the limits allow at that speed.
-    before = _travel(place, top, parts, False)
+    before = _travel(parts, place, top, False)
     tiny = 1e-100
-    first = min(int(place * parts), count - 1)
-    last = min(int((place + wanted) * parts), count - 1)
+    first = min(int(_part_at(parts, place)), count - 1)
+    last = min(int(_part_at(parts, place + wanted)), count - 1)
     for i in range(first, last + 1):
         for j in range(len(rows.limit)):
             tiny = max(tiny, small * abs(rows.a[i, 0, j]))
     gain = np.inf
     loss = np.inf
     for i in range(first, last + 1):
-        low, high, _, _ = _acceleration_range(rows, i, tiny, rate**2)
-        slowest, fastest, _, _ = _acceleration_range(rows, i, tiny, 0.0)
+        low, high, _, _ = _acceleration_range(rows, 0, every, i, tiny, rate**2)
+        slowest, fastest, _, _ = _acceleration_range(rows, 0, every, i, tiny, 0.0)
         gain = min(gain, max(high, PATH_SPEED.least_gain * fastest))
         loss = min(loss, max(-low, -PATH_SPEED.least_gain * slowest))
     fastest = min(wanted, rate + max(gain, wanted - before))
@@ -688,7 +766,7 @@ def step_on_profile(
         the limits.
     """
     end = len(path.offsets) - 1.0
-    rate = next_path_speed(place, speed, path.small, path.most, path.rows, path.top, len(path.offsets) - 1)
+    rate = next_path_speed(place, speed, path.small, path.most, path.parts, path.rows, path.top)
     wanted = min(rate, end - place)
     here = np.empty(len(dq))
     _smooth_offset(path.offsets, path.slopes, place, here)

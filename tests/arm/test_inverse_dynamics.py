@@ -125,9 +125,10 @@ def test_the_pass_agrees_with_pinocchio_on_random_trees(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pin.seed(seed)
     arm = random_tree(rng)
-    positions = rng.uniform(-2.0, 2.0, (5, arm.nv))
+    count = int(rng.choice([1, 5, 8, 19]))
+    positions = rng.uniform(-2.0, 2.0, (count, arm.nv))
     q = [arm.configuration(row) for row in positions]
-    velocities, accelerations = rng.normal(size=(2, 5, arm.nv))
+    velocities, accelerations = rng.normal(size=(2, count, arm.nv))
     data = arm.model.createData()
     exact = [pin.rnea(arm.model, data, *motion) for motion in zip(q, velocities, accelerations, strict=True)]
     size = float(np.abs(exact).max())
@@ -201,3 +202,13 @@ def test_joints_that_move_otherwise_are_left_to_pinocchio() -> None:
         pin.computeGeneralizedGravity(model, model.createData(), q),
         atol=1e-12,
     )
+
+
+def test_many_turns_change_nothing() -> None:
+    arm = template_arm("RyRz", 4)
+    rng = np.random.default_rng(5)
+    positions = rng.uniform(-3.0, 3.0, (19, arm.nv))
+    turned = positions + 2.0 * np.pi * rng.integers(-1000, 1000, positions.shape)
+    rates = rng.normal(size=positions.shape)
+    found = arm.dynamics.inverse_dynamics(turned, rates, rates)
+    np.testing.assert_allclose(found, arm.dynamics.inverse_dynamics(positions, rates, rates), atol=1e-10)

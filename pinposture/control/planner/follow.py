@@ -669,7 +669,7 @@ def stop_on_path(
     arrays = timed.arrays
     none = np.zeros_like(arrays.top)  # a profile that asks for no speed
     speed = kernels.next_path_speed(
-        progress.place, progress.speed, arrays.small, arrays.most, arrays.rows, none, len(path.offsets) - 1
+        progress.place, progress.speed, arrays.small, arrays.most, arrays.parts, arrays.rows, none
     )
     place = progress.place + max(speed, 0.0)
     dq = np.array(path.smooth_offset(place) - path.smooth_offset(progress.place))

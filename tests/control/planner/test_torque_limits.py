@@ -60,8 +60,9 @@ def test_a_lift_rises_and_sinks_in_the_shortest_time(distance: float) -> None:
     """It brakes with gravity as it rises, and against it as it sinks."""
     arm = pp.Arm.load(SLIDE, split=1)
     timed = timed_between(arm, [0.0], [distance], pp.Limits(step=None, velocity=100.0, dt=1e-3))
-    least = EFFORT_SHARE * 40.0 / 2.5 - 9.81
-    most = EFFORT_SHARE * 40.0 / 2.5 + 9.81
+    reserve = (1.0 - EFFORT_SHARE) * (40.0 / 2.5 - 9.81)  # of what holding it leaves
+    least = 40.0 / 2.5 - reserve - 9.81
+    most = 40.0 / 2.5 - reserve + 9.81
     shortest = np.sqrt(2.0 * abs(distance) * (least + most) / (least * most))
     assert timed.duration == pytest.approx(shortest, rel=0.01, abs=0.002)
 
@@ -100,8 +101,7 @@ def test_friction_leaves_less_to_the_motor() -> None:
     for text in (HINGE, rough):
         arm = pp.Arm.load(text)
         durations.append(timed_between(arm, [0.0], [1.0], limits).duration)
-    left = EFFORT_SHARE * 2.0
-    assert durations[1] / durations[0] == pytest.approx(np.sqrt(left / (left - 1.5)), rel=0.01)
+    assert durations[1] / durations[0] == pytest.approx(np.sqrt(2.0 / (2.0 - 1.5)), rel=0.01)
 
 
 def test_what_motors_cannot_hold_and_what_is_not_known_is_named() -> None:
