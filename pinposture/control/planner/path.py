@@ -262,8 +262,8 @@ joints by up to 1.1 %, twice of it shortened them by up to 0.5 %."""
 FINER_ENDS = (4, 2, 2)
 """How many times as finely the outer pieces of a path with limits of torque are divided, from its ends on:
 the arm is slow there, and torques per acceleration change within a part. Without, 20 motions of 100 joints
-took 0.9 % longer in the median, and up to 2 %; twice as fine ends would save 0.1 %, all parts half as long 0.5 %
-(`benchmarks.peers.durations`)."""
+took 0.9 % longer in the median, and up to 2 %; twice as fine ends would save 0.1 %, parts of half the length
+0.5 % (`benchmarks.peers.durations`)."""
 
 ZERO_SLOPE = 1e-12
 """Slope of a path that counts as zero, relative to the largest."""
