@@ -686,7 +686,7 @@ def stopping_on_path(progress: PathProgress) -> Array:
     speed = progress.speed
     while speed > 0.0 and len(places) <= MAX_STOPPING_STEPS:
         speed = kernels.next_path_speed(
-            places[-1], speed, arrays.small, arrays.most, arrays.rows, none, len(path.offsets) - 1
+            places[-1], speed, arrays.small, arrays.most, arrays.parts, arrays.rows, none
         )
         places.append(places[-1] + max(speed, 0.0))
     return np.diff(path.smooth_offset(np.array(places)), axis=0)
