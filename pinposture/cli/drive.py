@@ -26,6 +26,7 @@ from pinposture.cli.inputs import (
     refuse_given,
 )
 from pinposture.cli.output import examples, find_kept, load_kept, print_note
+from pinposture.cli.view import hold_interrupt
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
@@ -125,7 +126,8 @@ def run(
 
     It needs rclpy: pip install 'pinposture[ros2]', or a sourced ROS 2. docs/ros2.md describes all of it.
     """
-    from pinposture.ros2 import Driver, open_node
+    with hold_interrupt():
+        from pinposture.ros2 import Driver, open_node
 
     if aim_options.motion is not None:
         refuse_given({"--curve": aim_options.curve}, "nothing with --motion")
@@ -135,8 +137,9 @@ def run(
     scene = scene_options.read(arm)
     limits = _read_limits(arm, limit_options, 1.0 / settings.rate)
     with open_node("pinposture", ros_args or ()) as node:
-        driver = Driver(node, arm, settings, limits=limits, scene=scene)
-        aim_options.aim(driver, scene)
+        with hold_interrupt():
+            driver = Driver(node, arm, settings, limits=limits, scene=scene)
+            aim_options.aim(driver, scene)
         name = node.get_fully_qualified_name()
         print_note(f"{name} drives {arm.name} at {driver.settings.rate:g} Hz; Ctrl-C ends it")
         _spin(node, driver)
@@ -229,10 +232,11 @@ def run_robot(
     soft: at 4 Hz, the tip sags by 16 mm. Set parameters to let joints fail, or messages come late or not at
     all: stuck and limp (names of joints, separated by commas), latency (in s), silent.
     """
-    from pinposture.arm.mjcf import load_mujoco
-    from pinposture.collision import Scene
-    from pinposture.ros2 import RobotSettings, SimulatedRobot, open_node
-    from pinposture.sim import DepthCamera, Sensing, Servos
+    with hold_interrupt():
+        from pinposture.arm.mjcf import load_mujoco
+        from pinposture.collision import Scene
+        from pinposture.ros2 import RobotSettings, SimulatedRobot, open_node
+        from pinposture.sim import DepthCamera, Sensing, Servos
 
     load_mujoco()
     camera_options = ("camera", "camera_rate")
@@ -249,7 +253,8 @@ def run_robot(
     surroundings = Scene() if scene is None else Scene.load(scene)
     q0 = StartOptions(robot_options.start, False, robot_options.seed).read(arm, surroundings).q
     with open_node("robot", ros_args or ()) as node:
-        robot = SimulatedRobot(node, arm, surroundings, settings, q0)
+        with hold_interrupt():
+            robot = SimulatedRobot(node, arm, surroundings, settings, q0)
         name = node.get_fully_qualified_name()
         print_note(f"{name} simulates {arm.name} at {settings.rate:g} Hz; Ctrl-C ends it")
         _spin(node, robot)
