@@ -30,6 +30,10 @@ runs of `benchmarks.studies.torque_limits` exceeded their limits by up to a ten-
 MAX_STOPPING = 300.0
 """Largest number of steps of a stop within torque limits."""
 
+LEAST_MASS = 1e-4
+"""Mass that counts beside that of the arm, relative to the mean of the joints: enough for a matrix that is
+positive definite in spite of rounding."""
+
 HARDEST_SHARE = 0.98
 """Share of the torques that slow an arm down that its hardest stop takes; the rest is for terms of second
 order."""
@@ -299,6 +303,12 @@ class StepTorques:
         found = self._arm.dynamics.inverse_dynamics(at, np.zeros((nv + 1, nv)), accelerations)
         masses = found[1:] - found[0]
         return np.asarray(0.5 * (masses + masses.T))
+
+    @cached_property
+    def inertia(self) -> Array:
+        """The same, made positive definite in spite of rounding, (nv, nv)."""
+        masses = self.masses
+        return masses + LEAST_MASS * float(np.trace(masses)) / len(masses) * np.eye(len(masses))
 
     def rows(self, dq: Array) -> tuple[Array, Array]:
         """Return the limits of the torques of steps near dq (nv,), as shares of the limits.

@@ -619,7 +619,7 @@ class Avoidance:
 
     def _stop_after(self, state: ChainState, dq: Array) -> Stop:
         """Return the steps that stop the arm after a step, and their torques and those of the step."""
-        torques = self._torques_at(state)
+        torques = self.torques_at(state)
         if torques is not None:
             return torques.stop(dq)
         bounds = self._bounds
@@ -628,7 +628,7 @@ class Avoidance:
 
     def _brake_from(self, state: ChainState) -> Stop:
         """Return the steps that stop the arm at once, and their torques."""
-        torques = self._torques_at(state)
+        torques = self.torques_at(state)
         if torques is not None:
             known = self._known_stop
             return torques.stop() if known is None else Stop(known, torques.largest_share(known))
@@ -636,7 +636,7 @@ class Avoidance:
         rooms = bounds.edges - state.raw_positions
         return Stop(stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), 0.0)
 
-    def _torques_at(self, state: ChainState) -> StepTorques | None:
+    def torques_at(self, state: ChainState) -> StepTorques | None:
         """Return the torques of steps at a state; None if they are not limited. The last ones are cached."""
         if self._bounds.effort is None or self._bounds.dt is None:
             return None

@@ -18,7 +18,7 @@ from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
-from pinposture.control.planner.avoidance import Avoidance, ClearStep, ConstraintRows, solve
+from pinposture.control.planner.avoidance import Avoidance, ClearStep, ConstraintRows, Solution, solve
 from pinposture.control.planner.damped_least_squares import PlanningProblem, StepBounds, solve_posture
 from pinposture.control.planner.follow import (
     MAX_DEVIATION,
@@ -53,10 +53,6 @@ Array = NDArray[np.float64]
 MAX_IDLE_TRAVEL = 1.0
 MAX_PATH_ATTEMPTS = 3
 """Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
-
-LEAST_MASS = 1e-4
-"""Mass that counts beside that of the arm where a step is kept within torque limits, relative to the mean of
-the joints: enough for a matrix that is positive definite in spite of rounding."""
 
 TORQUE_ITERATIONS = 2
 """How often a step within torque limits is computed, with velocities first as before it, then as in it."""
@@ -565,7 +561,9 @@ def _follow_path(now: _Situation) -> Step:
     if now.torques is not None:
         avoidance = now.limits_alone if avoidance is None else avoidance
         if not now.torques.keep_limits(candidate.dq):
-            candidate = _within_torques(now, progress, candidate, avoidance)
+            bounds = StepBounds.of(progress.objective, state, now.box, avoidance)
+            dq, found = _within_torques(progress.objective, bounds, now.torques, candidate.dq)
+            candidate = candidate if found is None else CandidateStep(dq, candidate.progress, found)
     step = check_step(candidate, state, now.bounds, now.box, avoidance, progress)
     at_rest = now.previous is None or not np.any(now.previous)
     if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
@@ -574,29 +572,29 @@ def _follow_path(now: _Situation) -> Step:
 
 
 def _within_torques(
-    now: _Situation, progress: PathProgress, candidate: CandidateStep, avoidance: Avoidance
-) -> CandidateStep:
-    """Return the step within torque limits that is closest to one along a path that exceeds them.
+    objective: Objective, bounds: StepBounds, torques: StepTorques, dq: Array
+) -> tuple[Array, Solution | None]:
+    """Return the step within torque limits that is closest to one that exceeds them.
 
-    Of those that torques, obstacles and constraints allow, measured by the kinetic energy of the difference,
-    so that a joint whose torque is within its limit is not thrown to relieve another.
+    Of those that torques allow, and as far as possible obstacles and constraints, measured by the kinetic
+    energy of the difference, so that a joint whose torque is within its limit is not thrown to relieve
+    another. If none is found, the step stays as it is.
+
+    Returns:
+        The step, (nv,) [rad or m], and the solution of its quadratic program; None if it stays.
     """
-    objective = progress.objective
-    bounds = StepBounds.of(objective, now.state, now.box, avoidance)
-    torques = cast(StepTorques, now.torques)
-    chosen = np.ix_(objective.columns, objective.columns)
-    hessian = scaled(torques.masses[chosen], objective.units)
-    hessian += LEAST_MASS * float(np.trace(hessian)) / len(hessian) * np.eye(len(hessian))
-    gradient = -hessian @ objective.normalize(candidate.dq)
-    dq = candidate.dq
+    hessian = scaled(torques.inertia[np.ix_(objective.columns, objective.columns)], objective.units)
+    gradient = -hessian @ objective.normalize(dq)
+    closest = dq
+    found = None
     for _ in range(TORQUE_ITERATIONS):
-        matrix, least = torques.rows(dq)
+        matrix, least = torques.rows(closest)
         limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
         found = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows, hard=limits)
         if found.x is None:
-            return candidate
-        dq = objective.displacement(found.x)
-    return CandidateStep(dq, candidate.progress, found)
+            return dq, None
+        closest = objective.displacement(found.x)
+    return closest, found
 
 
 class Mode(NamedTuple):
@@ -699,7 +697,11 @@ def _smallest_motion(avoidance: Avoidance, bounds: StepBounds) -> Array:
     rest = np.zeros(len(bounds.lower))
     found = solve_posture(solver, solver.covered(rest), 1.0, rest, bounds).x
     x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
-    return avoidance.objective.displacement(x)
+    dq = avoidance.objective.displacement(x)
+    torques = avoidance.torques_at(bounds.state)
+    if torques is None or torques.keep_limits(dq):
+        return dq
+    return _within_torques(avoidance.objective, bounds, torques, dq)[0]
 
 
 def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
