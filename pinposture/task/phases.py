@@ -664,7 +664,7 @@ class _Planner:
 
     def _wrap(self, wrapping: Wrapping, name: str) -> None:
         scene = Scene() if self._scene is None else self._scene
-        grip = find_grip(self._arm, wrapping, scene, self._begin(), self._limits)
+        grip = find_grip(self._arm, wrapping, scene, self._begin(), self._limits, clear=True)
         for way in grip.ways:
             self._hold(grip, way, name, () if way == "approach" else grip.beside)
         self._grip = grip

@@ -272,8 +272,8 @@ def wrap(
         turns: number of turns about the axis of the object, rounded up to whole modules; counterclockwise
             seen from the tip of the axis, negative: clockwise.
         friction: coefficient of friction, for the assessment of the hold.
-        squeeze: share by which the wrapped joints are commanded to bend further than where they touch; less
-            where they reach a limit, or the commanded arm would come too near to itself or to others.
+        squeeze: share by which the wrapped joints are commanded to bend further than where they touch, up
+            to their limits.
         force: normal force with which contacts are to press [N], in place of that share. The commands then
             bend the joints further by the torques that this takes, divided by their stiffness, which has to
             be known (`Arm.with_stiffness`). It is met in the mean on a hard object; how the load is shared
@@ -306,8 +306,14 @@ def require_touchable(obstacle: str, scene: Scene) -> None:
         )
 
 
-def find_grip(arm: Arm, wrapping: Wrapping, scene: Scene, start: Array, limits: Limits) -> Grip:
-    """Find how an arm wraps around an object, from a configuration, (nq,); as `wrap`."""
+def find_grip(
+    arm: Arm, wrapping: Wrapping, scene: Scene, start: Array, limits: Limits, *, clear: bool = False
+) -> Grip:
+    """Find how an arm wraps around an object, from a configuration, (nq,); as `wrap`.
+
+    With `clear`, it is commanded to squeeze only as far as the commanded arm keeps the margin to itself and
+    to others, as what follows it among obstacles needs; the real arm stops at the object before.
+    """
     obstacle = wrapping.obstacle
     found = _Wrap(arm, obstacle, scene, wrapping.turns).find(start)
     way = found.winding
@@ -316,7 +322,9 @@ def find_grip(arm: Arm, wrapping: Wrapping, scene: Scene, start: Array, limits: 
     if wrapping.force is not None:
         further = _pressed(arm, touching, scene, wrapping)
     further = np.where(_holds(arm, found.first), further, 0.0)
-    held = _squeezed(arm, scene, obstacle, touching, further)
+    held = _within_limits(arm, arm.integrate(touching, further))
+    if clear:
+        held = _squeezed(arm, scene, obstacle, touching, further)
     if wrapping.force is not None and np.abs(arm.difference(held, touching) + further).max() > REACHED:
         reason = (
             f"the commands that press with {wrapping.force:g} N reach a limit, or the margin to something"
