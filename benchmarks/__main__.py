@@ -30,6 +30,7 @@ SCRIPTS = (
     "drives",
     "editor",
     "identification",
+    "mapping",
     "moving_obstacles",
     "obstacle_joints",
     "parameters",

@@ -56,6 +56,9 @@ scene comes on top."""
 MEASURED = 500
 """Number of measured configurations that are kept: 5 s of a loop at 100 Hz, far longer than pictures take."""
 
+FEWEST = 20_000
+"""Cells for which there is room at first when those on surfaces are listed."""
+
 FAR = 1e3
 """Depth that an infinite one stands for [m], which is beyond every grid that fits into memory."""
 
@@ -182,6 +185,7 @@ class Map:
         self._grid = self._make_grid()
         self._own = None if arm is None else _OwnBodies(arm, self.own_margin, MOUNT * self.resolution)
         self._pictures = 0
+        self._found = 0
         self._scaled_at = 0.0
         self._history: tuple[tuple[float, Array], ...] = ()
         self.time = 0.0
@@ -486,7 +490,7 @@ class Map:
             self._rescale()
         self._pictures += 1
         forbidden = self.unknown == "forbidden"
-        room = 20_000
+        room = max(FEWEST, 2 * self._found)
         while True:
             centers = np.empty((room, 3))
             count = kernels.find_surface(self._grid, self._pictures, self._scale, forbidden, centers)
@@ -494,6 +498,7 @@ class Map:
                 break
             room = count
             self._pictures += 1
+        self._found = count
         self.cells = Cells.of(centers[:count].copy(), self.resolution)
 
 

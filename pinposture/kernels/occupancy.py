@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, OccupancyGrid, Three
+from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Ints1, OccupancyGrid, Three
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 EDGE = 8
@@ -358,6 +358,25 @@ def read_cells(grid: OccupancyGrid, scale: float, points: Array2, states: Ints1)
             states[k] = 1 if evidence > OCCUPIED * scale else (-1 if evidence < 0.0 else 0)
 
 
+@subkernel
+def _is_enclosed(full: Flags1, blocks: int, block: int) -> bool:
+    """Return whether all blocks beside one are full."""
+    x = block // (blocks * blocks)
+    y = block // blocks % blocks
+    z = block % blocks
+    last = blocks - 1
+    if min(x, y, z) == 0 or max(x, y, z) == last:
+        return False
+    return bool(
+        full[block - blocks * blocks]
+        and full[block + blocks * blocks]
+        and full[block - blocks]
+        and full[block + blocks]
+        and full[block - 1]
+        and full[block + 1]
+    )
+
+
 @compiled
 def find_surface(grid: OccupancyGrid, picture: int, scale: float, forbidden: bool, centers: Array2) -> int:
     """Find the cells to keep clear of that have a neighbour across a face that need not be kept clear of.
@@ -376,8 +395,17 @@ def find_surface(grid: OccupancyGrid, picture: int, scale: float, forbidden: boo
     found = 0
     least = OCCUPIED * scale
     base = STATES * picture
+    full = np.zeros(len(grid.used), dtype=np.bool_)
+    mixed = np.zeros(len(grid.used), dtype=np.bool_)
     for block in range(len(grid.used)):
-        if not grid.used[block]:
+        if grid.used[block]:
+            count = 0
+            for at in range(block * CELLS, (block + 1) * CELLS):
+                count += int(grid.evidence[at] < 0.0) if forbidden else int(grid.evidence[at] > least)
+            full[block] = count == CELLS
+            mixed[block] = count > 0
+    for block in range(len(grid.used)):
+        if not mixed[block] or (full[block] and _is_enclosed(full, n, block)):
             continue
         bx = block // (n * n) * EDGE
         by = block // n % n * EDGE

@@ -159,6 +159,13 @@ def test_the_margin_to_a_moving_ball_is_kept(options: tuple[str, ...]) -> None:
     assert 0.0 < found["cycle_ms"]["p50"] <= found["cycle_ms"]["p99"] <= found["cycle_ms"]["p99.9"]
 
 
+@pytest.mark.studies
+def test_an_arm_that_maps_its_way_into_a_box_keeps_the_margin() -> None:
+    found = printed("mapping", "--draws", "1", "--first", "7")
+    assert (found["draws"], found["margin_kept"], found["arrived"]) == (1, 1, 1)
+    assert found["smallest_distance"] > 0.01
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize("options", [(), ("--free", "--seed", "3")])
 def test_limits_hold_in_a_loop_where_everything_goes_wrong(options: tuple[str, ...]) -> None:

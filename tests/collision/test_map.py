@@ -232,6 +232,29 @@ def test_cells_to_keep_clear_of_are_those_with_a_face_that_can_be_reached(unknow
     assert {tuple(each) for each in found.round(6)} == {tuple(each) for each in expected.round(6)}
 
 
+@pytest.mark.parametrize("unknown", ["free", "forbidden"])
+def test_cells_deep_inside_are_left_out_of_a_map_of_many_blocks(unknown):
+    side = (np.arange(48) + 0.5) * SIZE - 2.4
+    centers = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+    arm = pp.Arm.from_template("RyRz", modules=4, link_lengths=(0.25, 0.25))
+    mapped = Map(SIZE, arm, center=(0.5, 0.0, 0.0), reach=2.4, unknown=unknown)
+    centers = centers + (0.5, 0.0, 0.0)
+    if unknown == "forbidden":
+        mapped.clear(arm.straight(), 0.75)
+        holes = centers[np.random.default_rng(0).integers(0, len(centers), 50)]
+        mapped.add_cloud(holes, None, 0.0, arm.straight())
+    else:
+        mapped.add_cloud(centers[np.linalg.norm(centers - 0.6, axis=1) < 1.7], None, 0.0, arm.straight())
+    states = mapped.states(centers).reshape(48, 48, 48)
+    kept = states == OCCUPIED if unknown == "free" else states != FREE
+    open_side = np.pad(~kept, 1, constant_values=unknown == "free")
+    beside = [np.roll(open_side, step, axis)[1:-1, 1:-1, 1:-1] for step in (1, -1) for axis in range(3)]
+    expected = centers[(kept & np.any(beside, axis=0)).ravel()]
+    found = mapped.cells.points
+    assert len(found) == len(expected) > 1000
+    assert {tuple(each) for each in found.round(6)} == {tuple(each) for each in expected.round(6)}
+
+
 def an_arm() -> pp.Arm:
     return pp.Arm.from_template("RyRz", modules=4)
 
