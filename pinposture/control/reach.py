@@ -680,9 +680,9 @@ class _Search:
         """Return the rows that reduce torques, (r, n), and their errors, (r,) [m]; none if not asked for."""
         if self.torques is None:
             return np.empty((0, len(self.columns))), np.empty(0)
-        sides = self.torques.sides(state)
-        count = len(sides.room) // 2  # the upper bounds; the lower ones say the same of the torques
-        return sides.matrix[:count, self.columns] * self.units, self.arm.length - sides.room[:count]
+        shares, gradient = self.torques.shares(state)
+        size = self.arm.length
+        return -size * gradient[:, self.columns] * self.units, size * shares
 
     def _limit_rows(self, state: ChainState) -> tuple[Array, Array]:
         """Return the rows that pull joints back from their limits, (n, n), and their errors, (n,) [m]."""
@@ -724,14 +724,13 @@ class _Search:
         clearance = inf if self.model is None else self.model.minimum(q).distance
         if error > self.tolerance or clearance < self.margin or not arm.within_limits(q):
             return None
-        positions = state.raw_positions
-        if self.torque_limits is not None and self.torque_limits.violations(positions[None])[0] > 0.0:
+        if self.torque_limits is not None and self.torque_limits.violation(state) > 0.0:
             return None
         limit_distance = _limit_distance(arm, q)
         index = at.ellipsoids(-1)[0].index
         score = (min(max(clearance, 0.0) / (AMPLE * arm.length), 1.0) + limit_distance + index) / 3.0
         if self.torques is not None:
-            score = max(0.0, 1.0 - self.torques.heaviest(positions).share)
+            score = max(0.0, 1.0 - self.torques.heaviest(state).share)
         distance = float(np.linalg.norm(at.points[-1] - _place_of(self.task)))
         q.flags.writeable = False
         target = Target(at.points, np.ones(arm.n_modules), q=q)

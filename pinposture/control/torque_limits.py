@@ -96,7 +96,6 @@ class TorqueLimits:
         self._effort = (1.0 - VIOLATION_ROUNDING) * effort  # what counts as none is kept, too
         self._limited = np.flatnonzero(np.isfinite(effort))
         self._length = TORQUE_LENGTH * arm.length
-        self._scale = self._length / self._effort[self._limited]
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
@@ -104,33 +103,51 @@ class TorqueLimits:
 
     def sides(self, state: ChainState) -> Sides:
         """Return both bounds of each torque at a state."""
-        dynamics = self._arm.dynamics
-        positions = state.raw_positions
-        torques = self._scale * dynamics.gravity_torques(positions)[self._limited]
-        gradient = self._scale[:, None] * dynamics.gravity_gradient(positions)[self._limited]
+        shares, gradient = self.shares(state)
+        torques = self._length * shares
+        gradient = self._length * gradient
         room = self._length - np.concatenate([torques, -torques])
         return Sides(np.concatenate([-gradient, gradient]), room, self._names + self._names)
 
+    def shares(self, state: ChainState) -> tuple[Array, Array]:
+        """Return each limited torque at a state, relative to its limit, (r,), and its gradient, (r, nv)."""
+        effort = self._effort[self._limited]
+        torques = state.gravity_torques[self._limited] / effort
+        return torques, state.gravity_gradient[self._limited] / effort[:, None]
+
     def violations(self, positions: Array) -> Array:
         """Return the largest excess over a limit at joint positions (s, nv), (s,) [m]; 0 if all are kept."""
-        torques = np.abs(self._arm.dynamics.gravity_torques(positions)[:, self._limited])
-        over = torques / self._effort[self._limited] - 1.0
+        return self._excess(self._arm.dynamics.gravity_torques(positions))
+
+    def violation(self, state: ChainState) -> float:
+        """Return the largest excess over a limit at a state [m]; 0 if all are kept."""
+        return float(self._excess(state.gravity_torques[None])[0])
+
+    def _excess(self, torques: Array) -> Array:
+        """Return the largest excess of torques (s, nv) over a limit, (s,) [m]."""
+        over = np.abs(torques[:, self._limited]) / self._effort[self._limited] - 1.0
         return np.asarray(self._length * over.max(axis=1, initial=0.0))
 
-    def heaviest(self, positions: Array) -> JointLoad:
-        """Return the joint that needs most of its limit at joint positions (nv,)."""
-        torques = self._arm.dynamics.gravity_torques(positions)
-        return heaviest_load(self._arm.drives, torques, self._limits)
+    def heaviest(self, state: ChainState) -> JointLoad:
+        """Return the joint that needs most of its limit at a state."""
+        return heaviest_load(self._arm.drives, state.gravity_torques, self._limits)
 
-    def describe(self, positions: Array) -> tuple[str, ...]:
-        """Return a message if a limit is exceeded at joint positions (nv,)."""
-        load = self.heaviest(positions)
+    def describe(self, state: ChainState) -> tuple[str, ...]:
+        """Return a message if a limit is exceeded at a state."""
+        load = self.heaviest(state)
         return (f"torque limit: {load} to hold the arm",) if load.exceeded else ()
 
     def overload(self, state: ChainState) -> Overload | None:
         """Return what the motors lack to hold the arm at a state; None if they can."""
-        load = self.heaviest(state.raw_positions)
+        load = self.heaviest(state)
         return Overload(load, self.excess_payload(state)) if load.exceeded else None
+
+    def require_held(self, state: ChainState, name: str) -> None:
+        """Raise InvalidValue if the motors cannot hold the arm at a state; see `require_held`."""
+        overload = self.overload(state)
+        if overload is not None:
+            remedy = f"{overload.remedy}; or strict=False, to run it anyway"
+            raise InvalidValue(name, str(overload.load), f"a posture that the motors can hold{remedy}")
 
     def excess_payload(self, state: ChainState) -> float | None:
         """Return the smallest mass at the tip without which the motors could hold the arm [kg].
@@ -138,7 +155,7 @@ class TorqueLimits:
         None if they could not without any.
         """
         arm = self._arm
-        torques = arm.dynamics.gravity_torques(state.raw_positions)[self._limited]
+        torques = state.gravity_torques[self._limited]
         lift = -state.jacobians[-1].T @ np.asarray(arm.model.gravity.linear)
         lift = lift[self._limited]  # torques per mass at the tip
         limits = self._effort[self._limited]
@@ -340,7 +357,6 @@ def require_held(arm: Arm, q: Array, limits: Limits, name: str) -> None:
         InvalidValue: a motor has not enough torque; names the joint that needs most, and the mass that is too
             much.
     """
-    overload = find_overload(arm, q, limits)
-    if overload is not None:
-        allowed = f"a posture that the motors can hold{overload.remedy}; or strict=False, to run it anyway"
-        raise InvalidValue(name, str(overload.load), allowed)
+    effort = limits.for_arm(arm).effort
+    if effort is not None:
+        TorqueLimits(arm, effort).require_held(arm.chain_at(q), name)

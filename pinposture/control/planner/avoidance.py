@@ -349,7 +349,7 @@ class Avoidance:
             return 0.0
         found = sides_of(self.constraints, state).violation if self.constraints else 0.0
         if self.torques is not None:
-            found = max(found, float(self.torques.violations(state.raw_positions[None])[0]))
+            found = max(found, self.torques.violation(state))
         return found if found > VIOLATION_ROUNDING * self._length else 0.0
 
     def near(self, state: ChainState) -> Distances:
@@ -687,7 +687,7 @@ class Avoidance:
         broken: tuple[str, ...] = ()
         if self.constraints:
             broken = describe_violated(sides_of(self.constraints, state), self._length)
-        return broken if self.torques is None else broken + self.torques.describe(state.raw_positions)
+        return broken if self.torques is None else broken + self.torques.describe(state)
 
     def describe_worst_on(self, q: Array, path: Array) -> tuple[str, ...]:
         """Describe the constraints where they are violated most on straight motions; see `keeps`."""
@@ -700,8 +700,8 @@ class Avoidance:
             worst = max(self._sides_along(start, offsets), key=lambda sides: sides.violation)
             found = describe_violated(worst, self._length)
         if self.torques is not None:
-            positions = start.raw_positions + offsets
-            found += self.torques.describe(positions[int(self.torques.violations(positions).argmax())])
+            worst_at = int(self.torques.violations(start.raw_positions + offsets).argmax())
+            found += self.torques.describe(start.moved(offsets[worst_at]))
         return found
 
     def describe_closest(self, state: ChainState) -> str:

@@ -37,7 +37,6 @@ from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import PathSearch
 from pinposture.control.planner.trajectory_optimization import Penalties, TaskRows, direct_path, relax_path
 from pinposture.control.tasks import ControlTask
-from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 from pinposture.placement.points import initial_guesses
@@ -61,6 +60,9 @@ class PlanNeeded(Exception):
 
 Report = Callable[[str, JointPath | None], None]
 """Called with the next attempt and the shortest clear path so far."""
+
+TURN_ROUNDING = 1e-9
+"""Joint displacement that is due to rounding [rad or m]."""
 
 RANDOM_STARTS = 6
 RANDOM_SPREAD = 0.5
@@ -167,11 +169,13 @@ def plan(
     limits = require_limits(limits)
     bounds = limits.for_arm(state.arm)
     require_instance("strict", strict, bool, "True or False")
-    if strict and bounds.effort is not None:
-        require_held(state.arm, state.q, limits, "state")
-        if target.q is not None:
-            require_held(state.arm, target.q, limits, "target.q")
+    given = None if target.q is None else state.arm.chain_at(target.q)
     avoidance = Avoidance.of(scene, objective, bounds)
+    torques = avoidance.torques if strict and avoidance is not None else None
+    if torques is not None:
+        torques.require_held(state.chain_state, "state")
+        if given is not None:
+            torques.require_held(given, "target.q")
     problem = PlanningProblem(objective, state.chain_state, bounds.edges, avoidance)
     began = perf_counter()
 
@@ -182,12 +186,16 @@ def plan(
     path = find_path(problem, until=began + budget, report=report)
     if avoidance is None or not avoidance.constrained:
         return path
-    if strict and bounds.effort is not None:
-        require_held(state.arm, path.configuration(path.end), limits, "the goal")
-    goal = path.configuration(path.end) if target.q is None else target.q
+    end = path.configuration(path.end)
+    goal = given
+    if given is None or np.abs(state.arm.difference(given.q, end)).max() > TURN_ROUNDING:
+        found = state.arm.chain_at(end)
+        goal = found if given is None else given
+        if torques is not None:
+            torques.require_held(found, "the goal")
     words = [path.blocked_by] if path.blocked_by else []
-    for end, at in (("start", problem.start), ("goal", state.arm.chain_at(goal))):
-        words += [f"at the {end}, {each}" for each in avoidance.describe_broken(at)]
+    for name, at in (("start", problem.start), ("goal", goal)):
+        words += [f"at the {name}, {each}" for each in avoidance.describe_broken(at)]
     return replace(path, blocked_by="; ".join(words))
 
 
