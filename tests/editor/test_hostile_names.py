@@ -39,7 +39,8 @@ SINKS = ("add_html", "add_markdown", "add_modal", "add_notification", "add_label
 """What viser shows as HTML, or as Markdown in which HTML counts, and what it may come to show so."""
 
 PLACES = {
-    "ui/arm.py": ["add_html", "add_markdown", "add_html"],  # what is wrong with joint states: their text; numbers
+    # What is wrong with joint states: their text; numbers; our texts.
+    "ui/arm.py": ["add_html", "add_markdown", "add_html"],
     "ui/curve.py": ["add_markdown", "add_html"],  # our texts
     "ui/files.py": [
         "add_modal",
