@@ -187,12 +187,11 @@ def plan(
     if avoidance is None or not avoidance.constrained:
         return path
     end = path.configuration(path.end)
-    goal = given
-    if given is None or np.abs(state.arm.difference(given.q, end)).max() > TURN_ROUNDING:
-        found = state.arm.chain_at(end)
-        goal = found if given is None else given
-        if torques is not None:
-            torques.require_held(found, "the goal")
+    goal = state.arm.chain_at(end) if given is None else given
+    if torques is not None and (
+        given is None or np.abs(state.arm.difference(given.q, end)).max() > TURN_ROUNDING
+    ):
+        torques.require_held(state.arm.chain_at(end), "the goal")
     words = [path.blocked_by] if path.blocked_by else []
     for name, at in (("start", problem.start), ("goal", goal)):
         words += [f"at the {name}, {each}" for each in avoidance.describe_broken(at)]
