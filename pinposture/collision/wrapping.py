@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 WRAPPABLE = (Sphere, Capsule, Cylinder, Box, Mesh, MeshShape)
 
 MAX_TURNS = 100.0
+LEAST_TURNS = 1e-3
+"""Largest and smallest number of turns: the length of fewer is lost in rounding."""
 
 DEFAULT_PITCH = 2.5
 """Advance of a turn, in gaps: with a gap of the radius of the arm, its turns are half a radius apart."""
@@ -42,6 +44,12 @@ PARALLEL = 1e-9
 
 GAP_TOLERANCE = 0.01
 """Share of the gap by which the approach may come nearer."""
+
+
+def as_turns(name: str, value: Any) -> float:
+    """Read a number of turns, which may be negative, else raise InvalidValue."""
+    allowed = f"a number of {LEAST_TURNS:g} to {MAX_TURNS:g}, or the negative of one"
+    return as_number(name, value, allowed, lambda x: LEAST_TURNS <= abs(x) <= MAX_TURNS)
 
 
 class WrappedBody(NamedTuple):
@@ -243,8 +251,7 @@ def winding_around(
         InvalidValue: as `curve_around`.
     """
     body = _body(obstacle, axis)
-    allowed = f"a number other than 0, at most {MAX_TURNS:g} in size"
-    turns = as_number("turns", turns, allowed, lambda x: 0.0 < abs(x) <= MAX_TURNS)
+    turns = as_turns("turns", turns)
     reach = body.radius + gap
     if reach <= 0.0:
         raise InvalidValue("gap", gap, "more than 0 for an obstacle with edges")

@@ -45,7 +45,7 @@ class HeldObject(Declared):
         return replace(self, begin=self.begin + rows, end=self.end + rows)
 
 
-class Stage(NamedTuple):
+class HeldStage(NamedTuple):
     """A part of a motion in which the same is held.
 
     Attributes:
@@ -84,15 +84,15 @@ class Stages:
     def __init__(
         self, arm: Arm, held: Sequence[HeldObject], configuration: Callable[[int], Array], rows: int
     ) -> None:
-        stages = [Stage(0, {}, {})]
+        stages = [HeldStage(0, {}, {})]
         for each in held:
             taken = frame_pose(arm, configuration(each.begin), each.frame)
             left = frame_pose(arm, configuration(min(each.end, rows - 1)), each.frame)
             before = stages[-1].moved
             carried = Carried(each.frame, taken.translation, taken.rotation, each.beside)
-            stages.append(Stage(each.begin, before, {each.obstacle: carried}))
+            stages.append(HeldStage(each.begin, before, {each.obstacle: carried}))
             moved = left * taken.inverse() * before.get(each.obstacle, pin.SE3.Identity())
-            stages.append(Stage(each.end, {**before, each.obstacle: moved}, {}))
+            stages.append(HeldStage(each.end, {**before, each.obstacle: moved}, {}))
         self._stages = stages
         self._rows = [each.row for each in stages]
         self._scenes: dict[tuple[int, Scene], Scene] = {}

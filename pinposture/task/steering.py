@@ -20,7 +20,7 @@ from pinposture.curve import Curve
 from pinposture.errors import TargetError, raise_together
 from pinposture.placement.target import Target, target_at
 from pinposture.task.follow_leader import ClosestPlacement, FedArm, allowed_deviation
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -54,9 +54,6 @@ STEERING = SteeringSettings()
 
 AHEAD = np.zeros(2)
 """The curvature of a straight line."""
-
-ROUNDING = 1e-9
-"""Relative differences that are due to rounding."""
 
 VERTICAL = 1e-3
 """Angle between arm and gravity below which "up" is not opposite to gravity [rad]."""

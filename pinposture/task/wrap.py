@@ -38,7 +38,7 @@ from pinposture.collision import Carried, CollisionModel, Scene
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.model import MOTION_TOLERANCE, Distances, Pair
 from pinposture.collision.obstacles import displaced
-from pinposture.collision.wrapping import MAX_TURNS, Winding, winding_around
+from pinposture.collision.wrapping import Winding, as_turns, winding_around
 from pinposture.control import EndEffector, Hold, JointPath, Limits, Objective, assess_hold, plan, retime
 from pinposture.control.hold import squeezing_torques
 from pinposture.control.limits import cycle_of
@@ -83,17 +83,9 @@ LARGEST_TURN = 0.3
 of them that counts as a jump to another posture [rad]."""
 
 
-LEAST_TURNS = 1e-3
-"""Smallest number of turns: the length of fewer is lost in rounding."""
-
 LEAST_SQUEEZE = 0.01
 LESS_SQUEEZE = 0.95
 """Smallest share of a squeeze that is commanded where the arm would touch itself, and the steps to it."""
-
-
-def _as_turns(name: str, value: Any) -> float:
-    allowed = f"a number of {LEAST_TURNS:g} to {MAX_TURNS:g}, or the negative of one"
-    return as_number(name, value, allowed, lambda x: LEAST_TURNS <= abs(x) <= MAX_TURNS)
 
 
 def _as_share(name: str, value: Any) -> float:
@@ -117,7 +109,7 @@ class Wrapping(Declared):
     """
 
     obstacle: Text
-    turns: Annotated[float, CheckedBy(_as_turns)] = 1.0
+    turns: Annotated[float, CheckedBy(as_turns)] = 1.0
     friction: Annotated[float, CheckedBy(partial(require_positive, zero=True))] = 1.0
     squeeze: Annotated[float, CheckedBy(_as_share)] = 0.1
     force: Annotated[float, quantity("force", above=0.0)] | None = None
