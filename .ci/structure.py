@@ -44,12 +44,12 @@ CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 218,  # 170
     "definitions": 4819,
-    "constants": 1078,
+    "constants": 1077,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
-    "class names defined twice": 1,  # 0
-    "constants of two meanings in sight": 1,  # 0
+    "class names defined twice": 0,  # 0
+    "constants of two meanings in sight": 0,  # 0
     "long parameter lists": 0,  # 0
     "kernel calls spread from tuples": 0,  # 0
     "assignments that share a line": 0,  # 0
