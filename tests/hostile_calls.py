@@ -403,7 +403,12 @@ IN_LOOPS = (
         "Arm.require_near",
         "CollisionModel.contacts_along",
     ),
-    *("CollisionModel.clear_of_maps", "CollisionModel.count_movers", "CollisionModel.nearest", "CollisionModel.minimum_along"),
+    *(
+        "CollisionModel.clear_of_maps",
+        "CollisionModel.count_movers",
+        "CollisionModel.nearest",
+        "CollisionModel.minimum_along",
+    ),
     *("CollisionModel.minimum_on_motions", "Projection.step_with", "Projection.posture_control_matrix"),
     *(
         "Geodesic.start",
