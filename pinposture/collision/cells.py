@@ -27,8 +27,8 @@ class Cells(Scan):
     """The cells of a map that an arm keeps clear of, at one moment: an obstacle, as `Map.cells` gives it.
 
     Each cell counts as the ball around it, and a body that is neither sphere nor capsule as the capsule
-    around it. Only cells with a free face are listed. A file stores it as a
-    scan. It may be empty; its distance is then over 10 km.
+    around it. Only cells with a free face are listed. A file stores it as a scan. It may be empty; its
+    distance is then over 10 km.
 
     Attributes:
         points: centres of the cells, (n, 3) [m]; read-only.

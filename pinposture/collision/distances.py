@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.kinematics import neutral_placements, read_joints
+from pinposture.arm.weight import find_frame
 from pinposture.collision.solids import Piece, Solid, join_trees
 from pinposture.kernels.arrays import BLOCK, INSIDE, OTHERWISE, PIECE, SEGMENT, Contacts, Pairs
 
@@ -67,6 +68,18 @@ class TreeKinematics:
         found = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
         kernels.place_joints(self.joints, positions, others, found.rotations, found.origins)
         return found
+
+    def frame_pose(self, q: Array, name: str) -> pin.SE3:
+        """Return the pose of a link, a control point or a joint at a configuration, (nq,), world frame.
+
+        Raises:
+            UnknownName: the model has no such frame.
+        """
+        frame = find_frame(self._model, name)
+        placements = self.place(q)
+        joint = int(frame.parentJoint)
+        turn = placements.rotations[0, joint] @ self.turns[joint]
+        return pin.SE3(turn, placements.origins[0, joint]) * frame.placement
 
     def positions(self, q: Array, offsets: Array | None) -> tuple[Array, Array]:
         """Return joint positions, (s, nv), and the placements of other joints; see `place`."""

@@ -23,7 +23,6 @@ from pinposture._validation import (
     rigid_placement,
 )
 from pinposture.arm import Arm
-from pinposture.arm.kinematics import frame_ids
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.cells import Cells
 from pinposture.collision.distances import TreeKinematics
@@ -270,10 +269,11 @@ class Map:
             InvalidValue: a map without an arm, or an invalid mounting or configuration.
             UnknownName: no such frame.
         """
-        self._require_arm()
+        arm = self._require_arm()
         require_instance("mounting", mounting, Mounting, "a Mounting(frame, placement)")
         placement = rigid_placement("placement", mounting.placement)
-        return cast(_OwnBodies, self._own).frame(mounting.frame, self._require_arm().checked(q)) * placement
+        kinematics = cast(_OwnBodies, self._own).kinematics
+        return kinematics.frame_pose(arm.checked(q), mounting.frame) * placement
 
     def add_cloud(
         self,
@@ -505,6 +505,9 @@ class Map:
 class _OwnBodies:
     """The bodies of an arm as capsules, at its measured configurations.
 
+    Attributes:
+        kinematics: that of the arm.
+
     Args:
         arm: the arm.
         margin: distance within which points are its own [m].
@@ -515,8 +518,7 @@ class _OwnBodies:
         kinematics = TreeKinematics(arm.model)
         bodies = bodies_of(arm)
         solids = [body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies]
-        self._model = arm.model
-        self._kinematics = kinematics
+        self.kinematics = kinematics
         self._margin = margin
         self._joints = np.array([body.joint for body in bodies], dtype=np.int64)
         self._local = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
@@ -528,7 +530,7 @@ class _OwnBodies:
 
     def covered(self, q: Array) -> tuple[Array, Array]:
         """Return axes, (b, 2, 3) [m], and radii, (b,) [m], of capsules around the bodies; world frame."""
-        placements = self._kinematics.place(q)
+        placements = self.kinematics.place(q)
         axes = np.empty((1, *self._local.shape))
         kernels.place_axes(self._joints, self._local, placements.rotations, placements.origins, axes)
         return axes[0], self._radii
@@ -537,14 +539,6 @@ class _OwnBodies:
         """Return capsules as `covered`, within which points are left out."""
         axes, radii = self.covered(q)
         return np.concatenate([axes, self._ends]), np.append(radii + self._margin, self._end_radii)
-
-    def frame(self, name: str, q: Array) -> pin.SE3:
-        """Return the placement of a frame of the arm's description, world frame."""
-        frame = self._model.frames[frame_ids(self._model, [name])[0]]
-        placements = self._kinematics.place(q)
-        joint = frame.parentJoint
-        turn = placements.rotations[0, joint] @ self._kinematics.turns[joint]
-        return pin.SE3(turn, placements.origins[0, joint]) * frame.placement
 
 
 def _time(value: Any) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -154,6 +154,15 @@ class Carried(Declared):
     def placement(self) -> pin.SE3:
         """The pose of the frame when the obstacle is where the scene describes it."""
         return pin.SE3(np.array(self.rotation), np.array(self.position))
+
+
+def carried_among(carried: Mapping[str, Carried], obstacles: Collection[str]) -> dict[str, Carried]:
+    """Return how the arm carries those of some obstacles, beside those of them, by names."""
+    return {
+        name: replace(each, beside=[other for other in each.beside if other in obstacles])
+        for name, each in carried.items()
+        if name in obstacles
+    }
 
 
 def _require_carriable(value: Mapping[str, Carried], info: ValidationInfo) -> Mapping[str, Carried]:
@@ -397,11 +406,7 @@ class Scene(Declared):
         """
         require_instance("obstacles", obstacles, Mapping, "a mapping from names of obstacles")
         touchable = tuple(name for name in self.touchable if name in obstacles)
-        carried = {
-            name: replace(each, beside=[other for other in each.beside if other in obstacles])
-            for name, each in self.carried.items()
-            if name in obstacles
-        }
+        carried = carried_among(self.carried, obstacles)
         return replace(self, obstacles=obstacles, velocities={}, touchable=touchable, carried=carried)
 
     def without_obstacles(self) -> Scene:

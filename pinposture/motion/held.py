@@ -15,7 +15,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Carried, Scene
 from pinposture.collision.bodies import frame_pose
 from pinposture.collision.obstacles import displaced
-from pinposture.collision.scene import as_names
+from pinposture.collision.scene import as_names, carried_among
 from pinposture.schema import CheckedBy, Declared, Text, WholeNumber, declared
 
 Array = NDArray[np.float64]
@@ -63,12 +63,8 @@ class HeldStage(NamedTuple):
         obstacles = dict(scene.obstacles)
         for name in self.moved.keys() & obstacles.keys():
             obstacles[name] = displaced(obstacles[name], self.moved[name])
-        held = {
-            name: replace(each, beside=[other for other in each.beside if other in obstacles])
-            for name, each in self.carried.items()
-            if name in obstacles
-        }
-        return replace(scene, obstacles=obstacles, carried={**scene.carried, **held})
+        carried = {**scene.carried, **carried_among(self.carried, obstacles)}
+        return replace(scene, obstacles=obstacles, carried=carried)
 
 
 class Stages:

@@ -254,9 +254,14 @@ class Identification:
         if why:
             raise InvalidValue("logs", len(self.logs), f"{allowed}; here {why}")
         felt = np.max([self._felt(log, time_constant) for log in self.logs], axis=0)
+        if not np.any(felt):
+            raise InvalidValue("log.effort", "the same in all rows", f"{allowed}, and that moves")
         most = TOUCH_MARGIN * largest_of_kind(self.arm, felt)
-        drives = self.arm.drives
-        threshold = {drive.joint: float(m / abs(drive.ratio)) for drive, m in zip(drives, most, strict=True)}
+        threshold = {
+            drive.joint: float(torque / abs(drive.ratio))
+            for drive, torque in zip(self.arm.drives, most, strict=True)
+            if np.isfinite(torque)
+        }
         return Touch(threshold, reaction, time_constant)
 
     def _felt(self, log: Log, time_constant: float) -> Array:
@@ -269,9 +274,9 @@ class Identification:
         if payload:
             arm = arm.with_payload(payload)
         columns = _columns_of(arm, log, {})
-        chosen = [columns[name] for name in arm.joint_names]
-        positions = np.column_stack([each.read(log.positions, log.degrees) for each in chosen])
+        positions = _positions_in(arm, log, columns)
         effort = np.asarray(log.effort)
+        chosen = [columns[name] for name in arm.joint_names]
         torques = np.column_stack([each.ratio * effort[:, each.place] for each in chosen])
         usable = np.all(np.isfinite(positions) & np.isfinite(torques), axis=1)
         detector = TouchDetector(arm, Touch(LARGEST_NUMBER, time_constant=time_constant))
@@ -663,7 +668,7 @@ class _Loads(NamedTuple):
 
 def _loads_of(arm: Arm, log: Log, columns: Mapping[str, _Column]) -> _Loads:
     """Return the torques that hold an arm in a log, at `MOST_POSTURES` evenly spaced rows at most."""
-    table = np.column_stack([columns[name].read(log.positions, log.degrees) for name in arm.joint_names])
+    table = _positions_in(arm, log, columns)
     rows = np.flatnonzero(np.isfinite(log.time) & np.all(np.isfinite(table), axis=1))
     rows = rows[:: 1 + len(rows) // MOST_POSTURES]
     bare = arm.with_payload(log.payload) if log.payload else arm
@@ -671,6 +676,11 @@ def _loads_of(arm: Arm, log: Log, columns: Mapping[str, _Column]) -> _Loads:
     held = _torques_at(bare, table[rows], gravity)
     carried = _torques_at(bare.with_payload(1.0), table[rows], gravity) - held
     return _Loads(log.time[rows], held, carried)
+
+
+def _positions_in(arm: Arm, log: Log, columns: Mapping[str, _Column]) -> Array:
+    """Return the measured positions of all joints of an arm in a log, (N, nv) [rad or m]."""
+    return np.column_stack([columns[name].read(log.positions, log.degrees) for name in arm.joint_names])
 
 
 def _torques_at(arm: Arm, positions: Array, gravity: Array) -> Array:

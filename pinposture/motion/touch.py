@@ -125,7 +125,11 @@ class Reading(NamedTuple):
 def _thresholds_of(arm: Arm, given: float | dict[str, float] | None) -> Array:
     """Return the thresholds of `Touch` along the degrees of freedom, (nv,) [N m or N]; infinite for none."""
     if given is None:
-        return USUAL_SHARE * largest_of_kind(arm, arm.outstretched_torques)
+        loads = largest_of_kind(arm, arm.outstretched_torques)
+        if np.all(np.isinf(loads)):
+            allowed = "a torque or force, as weight loads no joint of this arm"
+            raise InvalidValue("touch.threshold", None, allowed)
+        return USUAL_SHARE * loads
     of_drives = np.full(arm.nv, np.inf)
     names = arm.drives.names
     if isinstance(given, Mapping):
@@ -144,16 +148,14 @@ def largest_of_kind(arm: Arm, torques: Array) -> Array:
         arm: the arm.
         torques: torques and forces, (nv,) [N m or N], at least 0.
 
-    Raises:
-        InvalidValue: they are all zero.
+    Returns:
+        The largest of its kind, (nv,); infinite where all are zero.
     """
     largest = np.full(arm.nv, np.inf)
     for kind in (arm.in_metres, ~arm.in_metres):
         most = float(torques[kind].max(initial=0.0))
         if most > 0.0:
             largest[kind] = most
-    if np.all(np.isinf(largest)):
-        raise InvalidValue("touch.threshold", None, "a torque or force, as weight loads no joint of this arm")
     return largest
 
 

@@ -247,21 +247,22 @@ class Driver:
             except ParameterException as error:  # another type, such as 50 for 50.0
                 raise PostureError(str(error)) from error
 
+        def declare_optional(name: str, value: float | None, words: str) -> float | None:
+            given = declare(name, value or 0.0, words, True)
+            return None if given == 0.0 else float(given)
+
         self.settings = DriverSettings(
             rate=declare("rate", settings.rate, "cycles per second", True),
             command=declare("command", settings.command, "trajectory or positions", True),
             max_age=declare("max_age", settings.max_age, "age above which joint states do not count [s]"),
-            cloud_resolution=declare(
+            cloud_resolution=declare_optional(
                 "cloud_resolution",
-                settings.cloud_resolution or 0.0,
+                settings.cloud_resolution,
                 "edge length of the cells of the map [m]; 0: 2 % of the length of the arm",
-                True,
-            )
-            or None,
-            forget=declare(
-                "forget", settings.forget or 0.0, "time constant of the map [s]; 0: it forgets nothing", True
-            )
-            or None,
+            ),
+            forget=declare_optional(
+                "forget", settings.forget, "time constant of the map [s]; 0: it forgets nothing"
+            ),
             touch=settings.touch,
         )
         self._bounds = {

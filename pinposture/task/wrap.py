@@ -314,9 +314,10 @@ def find_grip(
     if wrapping.force is not None:
         further = _pressed(arm, touching, scene, wrapping)
     further = np.where(_holds(arm, found.first), further, 0.0)
-    held = _within_limits(arm, arm.integrate(touching, further))
     if clear:
         held = _squeezed(arm, scene, obstacle, touching, further)
+    else:
+        held = _within_limits(arm, arm.integrate(touching, further))
     if wrapping.force is not None and np.abs(arm.difference(held, touching) + further).max() > REACHED:
         reason = (
             f"the commands that press with {wrapping.force:g} N reach a limit, or the margin to something"

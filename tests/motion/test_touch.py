@@ -203,10 +203,16 @@ def test_a_log_tells_thresholds_above_friction_and_noise_that_a_push_exceeds():
 def test_a_log_without_efforts_or_weight_tells_no_thresholds():
     arm = heavy()
     log = moving_log(arm, 1.0, np.random.default_rng(2))
-    still = {"gravity": (0.0, 0.0, -9.81), "payload": 0.0}
-    silent = pp.Log(log.command_time, log.commands, log.time, log.positions, **still)
+    known = {"gravity": (0.0, 0.0, -9.81), "payload": 0.0}
+    silent = pp.Log(log.command_time, log.commands, log.time, log.positions, **known)
     with pytest.raises(InvalidValue, match=r"log\.effort"):
         pp.identify(arm, silent).touch()
+    still = np.tile(log.positions[:1], (len(log.time), 1))
+    rest = pp.Log(
+        log.time, still, log.time, still, effort=np.ones_like(still), gravity=log.gravity, payload=0.0
+    )
+    with pytest.raises(InvalidValue, match="and that moves"):
+        pp.identify(arm, rest).touch()
     lying = pp.Log(
         log.command_time, log.commands, log.time, log.positions, effort=log.effort, in_contact=True
     )

@@ -209,9 +209,9 @@ class Geodesic:
         progress = self._renewed(progress)  # which needs no new path
         cut = False
         if self.scene is not None and not self.scene.has_maps_of(progress.path.scene):
-            clear = bool(progress.path.blocked_by)  # or not, but that is known
+            was_blocked = bool(progress.path.blocked_by)
             progress = progress.among(self.scene)
-            cut = not (clear or progress.arrived or self._is_clear_of_maps(now, progress))
+            cut = not (was_blocked or progress.arrived or self._is_clear_of_maps(now, progress))
         if not cut and (progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived):
             return _within(progress, now)
         attempt = progress.path.attempt + 1
