@@ -37,6 +37,7 @@ SCRIPTS = (
     "qp_solvers",
     "rate",
     "reach",
+    "retreat",
     "ros2",
     "scan_obstacles",
     "soak",

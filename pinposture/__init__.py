@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from pinposture.task.keyframes import keyframe_reference
     from pinposture.task.perform import move_through, perform
     from pinposture.task.phases import Carrying, Phase, Release, TipGoal, Withdrawal
+    from pinposture.task.retreat import Retreat, Retreats, can_retreat
     from pinposture.task.steering import Steering
     from pinposture.task.task import Task
     from pinposture.task.wrap import Grip, Wrapping, carry, unwrap, wrap
@@ -119,6 +120,8 @@ __all__ = [
     "Projection",
     "ReachedPosture",
     "Release",
+    "Retreat",
+    "Retreats",
     "Run",
     "Scan",
     "Scene",
@@ -141,6 +144,7 @@ __all__ = [
     "animate",
     "assess_hold",
     "assess_support",
+    "can_retreat",
     "carry",
     "curve_around",
     "find_path",
@@ -243,6 +247,7 @@ _PACKAGES = {
     "task": (
         "Carrying",
         "Grip",
+        "can_retreat",
         "carry",
         "unwrap",
         "wrap",
@@ -250,6 +255,8 @@ _PACKAGES = {
         "Leader",
         "Phase",
         "Release",
+        "Retreat",
+        "Retreats",
         "Steering",
         "Task",
         "TipGoal",

@@ -25,11 +25,13 @@ from pinposture._validation import (
     finite_array,
     finite_vector,
     require_instance,
+    require_known,
     require_whole,
     rigid_placement,
 )
 from pinposture.arm.configurations import (
     MOST_MOVING,
+    NO_LIMIT,
     ConfigurationSpace,
     check_joint_positions,
     plausible_positions,
@@ -812,6 +814,42 @@ class Arm(ConfigurationSpace):
         spec = None if self.spec is None else replace(self.spec, characteristic_length=unit)
         return self._made_again(spec, unit, self.weight)
 
+    def with_locked(self, positions: Mapping[str, float]) -> Arm:
+        """Return the same arm with joints that do not move, such as those that are stuck.
+
+        They keep their entries in configurations, but targets, plans and steps of the other arm leave them
+        where they are, also where that is outside their limits. (`locked` of `load` takes joints out.)
+
+        Args:
+            positions: the position of each locked joint, by the names of `joint_names` [rad or m].
+
+        Returns:
+            The arm; without `spec`, which does not tell of locked joints.
+
+        Raises:
+            UnknownName: a joint that is not on the chain, or follows another one.
+            InvalidValue: a position that is not a number, a continuous joint, or all joints.
+        """
+        require_instance("positions", positions, Mapping, "a mapping from joint names to positions")
+        columns = {self.joint_names[u]: int(u) for u in self.columns}
+        model = self._described.copy()
+        lower = np.array(model.lowerPositionLimit)
+        upper = np.array(model.upperPositionLimit)
+        for name, value in positions.items():
+            require_known("joint of the chain", name, tuple(columns))
+            joint = model.joints[model.getJointId(name)]
+            if joint.nq != 1:
+                raise InvalidValue("locked joint", name, "a joint that is not continuous")
+            allowed = f"a joint position within +-{NO_LIMIT:g}"
+            at = as_number(f"positions[{name!r}]", value, allowed, lambda x: abs(x) < NO_LIMIT)
+            lower[joint.idx_q] = upper[joint.idx_q] = at
+        model.lowerPositionLimit = lower
+        model.upperPositionLimit = upper
+        locked = self._made_again(None, self.characteristic_length, self.weight, model)
+        if np.all(locked.limits.lower[self.columns] == locked.limits.upper[self.columns]):
+            raise InvalidValue("positions", list(positions), "at least one joint that moves")
+        return locked
+
     def with_spec(self, spec: ArmSpec) -> Arm:
         """Return the same arm with another specification of it, such as one without a file.
 
@@ -821,9 +859,11 @@ class Arm(ConfigurationSpace):
         require_instance("spec", spec, ArmSpec, "an ArmSpec")
         return self._made_again(spec, self.characteristic_length, self.weight)
 
-    def _made_again(self, spec: ArmSpec | None, unit: float, weight: Weight) -> Arm:
+    def _made_again(
+        self, spec: ArmSpec | None, unit: float, weight: Weight, model: pin.Model | None = None
+    ) -> Arm:
         again = Arm(
-            self._described,
+            self._described if model is None else model,
             self.control_points,
             self.base_placement,
             urdf=self.urdf,

@@ -189,8 +189,9 @@ def _edges(arm: Arm, margin: float) -> Array:
     limits = arm.limits
     moved = arm.moved > 0.0
     # Joints that move no control point stay where they are.
-    lower = np.where(moved, limits.lower + margin, -np.inf)
-    upper = np.where(moved, limits.upper - margin, np.inf)
+    margins = np.where(limits.upper > limits.lower, margin, 0.0)  # locked joints have no room for any
+    lower = np.where(moved, limits.lower + margins, -np.inf)
+    upper = np.where(moved, limits.upper - margins, np.inf)
     if np.any(lower > upper):
         joint = int(np.argmax(lower - upper))
         room = (limits.upper[joint] - limits.lower[joint]) / 2.0

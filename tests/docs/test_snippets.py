@@ -27,6 +27,7 @@ PAGES = (
         "your_own_module.md",
         "scenes.md",
         "reach.md",
+        "retreat.md",
         "weight.md",
         "identification.md",
         "robot.md",

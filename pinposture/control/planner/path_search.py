@@ -103,9 +103,10 @@ class PathSearch:
         self._goal = goal
         self._rng = np.random.default_rng(seed)
         self._share = min(1.0, FEW_JOINTS / len(objective.columns))
+        self._units = self._share * self.arm.joint_units
         self._positions = self.arm.positions(self._start.q)
         lowest, highest = edges - self._positions
-        farthest = self._share * MAX_TURN * self.arm.joint_units * self.arm.moved
+        farthest = MAX_TURN * self._units * self.arm.moved
         self._sides = (
             np.maximum(np.minimum(lowest, 0.0), -farthest),
             np.minimum(np.maximum(highest, 0.0), farthest),
@@ -149,19 +150,18 @@ class PathSearch:
     def _connect(self, one: Array, other: Array, nodes: int) -> Array | None:
         """Return offsets from one to the other, (N + 1, nv), by RRT-Connect; None if none were found."""
         trees = _Tree(one), _Tree(other)
-        units = self._share * self.arm.joint_units
         for turn in range(nodes):
             if perf_counter() >= self.until:
                 break
             from_, to = trees if turn % 2 == 0 else trees[::-1]
             wanted = other if turn == 0 else self._sample(one, other)
-            at = self._extend(from_, wanted, units)
+            at = self._extend(from_, wanted, self._units)
             if at is None:
                 continue
             there = from_.offsets[at]
             reached = None
             while True:  # as far as possible
-                reached = self._extend(to, there, units)
+                reached = self._extend(to, there, self._units)
                 if reached is None or np.array_equal(to.offsets[reached], there):
                     break
             if reached is not None:
@@ -201,7 +201,7 @@ class PathSearch:
 
     def _shorten(self, offsets: Array) -> Array:
         """Straighten parts of a path where that is clear and shorter, for all or some consecutive joints."""
-        path = self._divide(offsets)
+        path = divide(offsets, self._units)
         columns = self.problem.objective.columns
         for number in range(SHORTCUTS):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
@@ -217,20 +217,21 @@ class PathSearch:
                 straight = before.copy()
                 straight[:, some] = whole[:, some]
             if self._length(straight) < 0.999 * self._length(before) and self.is_clear(straight):
-                path = np.concatenate([path[:i], self._divide(straight), path[j + 1 :]])
+                path = np.concatenate([path[:i], divide(straight, self._units), path[j + 1 :]])
         return path
-
-    def _divide(self, path: Array) -> Array:
-        """Return a path with long pieces divided."""
-        parts = [path[:1]]
-        for start, end in pairwise(path):
-            size = float(np.abs((end - start) / (self._share * self.arm.joint_units)).max())
-            count = max(int(np.ceil(size / PIECE_TURN)), 1)
-            parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
-        return np.concatenate(parts)
 
     def _length(self, path: Array) -> float:
         return float(self.problem.objective.measure_pieces(self._positions, path).sum())
+
+
+def divide(path: Array, units: Array) -> Array:
+    """Return a path, (N + 1, nv), with pieces longer than `PIECE_TURN` in units of motion (nv,) divided."""
+    parts = [path[:1]]
+    for start, end in pairwise(path):
+        size = float(np.abs((end - start) / units).max())
+        count = max(int(np.ceil(size / PIECE_TURN)), 1)
+        parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
+    return np.concatenate(parts)
 
 
 class _Tree:

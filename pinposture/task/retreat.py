@@ -1,0 +1,401 @@
+"""Whether an arm can come out of where it is if one of its joints sticks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import (
+    finite_array,
+    require_function,
+    require_instance,
+    require_known,
+    require_positive,
+    require_whole,
+)
+from pinposture.arm import Arm, ChainState
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import describe_distance
+from pinposture.control import JointPath, Limits, plan
+from pinposture.control.limits import require_limits
+from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.damped_least_squares import PlanningProblem, minimize
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path_search import divide
+from pinposture.errors import InvalidValue, no_warnings
+from pinposture.placement import Target
+
+Array = NDArray[np.float64]
+
+
+class RetreatSettings(NamedTuple):
+    """How an arm is led back along the path by which it came."""
+
+    stride: float = 0.25
+    """Largest motion of a control point from one posture of the way back to the next, in module lengths."""
+
+    halvings: int = 3
+    """How often a stride that is not clear is halved."""
+
+    error: float = 1e-3
+    """Mean distance of the control points from the way back at which a posture is close enough to it, in arm
+    lengths."""
+
+    near: float = 1.0
+    """Largest distance of a control point from its place outside, in module lengths, if an obstacle does not
+    let the arm take the posture outside with the joint that is stuck."""
+
+    rounding: float = 1e-9
+    """Missing clearance that is due to rounding, in arm lengths."""
+
+
+RETREAT = RetreatSettings()
+
+BACK = "the way back"
+"""`JointPath.found_by` of a way along that by which the arm came."""
+
+
+class Retreat(NamedTuple):
+    """The answer for one posture and one joint.
+
+    Attributes:
+        posture: the row of the posture.
+        joint: name of the joint that sticks there.
+        position: its position, at which it stays [rad or m].
+        path: the way out, for the arm with this joint locked (`Arm.with_locked`); None if there is none, or
+            none was found.
+        reason: what comes too close, and whether that excludes a way out; empty if there is one.
+    """
+
+    posture: int
+    joint: str
+    position: float
+    path: JointPath | None
+    reason: str
+
+    def __repr__(self) -> str:
+        way = self.reason if self.path is None else f"out by {self.path.found_by}"
+        return f"Retreat(posture {self.posture}, {self.joint} at {self.position:.4g}: {way})"
+
+
+@dataclass(frozen=True, eq=False)
+class Retreats:
+    """Whether an arm can come out of postures if one of its joints sticks; true if it always can.
+
+    Attributes:
+        ways: the answers, posture by posture, and joint by joint from the base on.
+    """
+
+    ways: tuple[Retreat, ...]
+
+    def __bool__(self) -> bool:
+        return self.first is None
+
+    @property
+    def first(self) -> Retreat | None:
+        """The first posture, and the joint, with which the arm cannot come out; None if it always can."""
+        return next(iter(self.blocked), None)
+
+    @property
+    def blocked(self) -> tuple[Retreat, ...]:
+        """The answers without a way out."""
+        return tuple(each for each in self.ways if each.path is None)
+
+    def __repr__(self) -> str:
+        first = "" if self.first is None else f", first {self.first}"
+        return f"Retreats({len(self.ways) - len(self.blocked)} of {len(self.ways)} ways out{first})"
+
+
+def can_retreat(
+    arm: Arm,
+    q: ArrayLike,
+    scene: Scene,
+    failed: str | Sequence[str] | None = None,
+    *,
+    postures: Sequence[int] | None = None,
+    out: ArrayLike | None = None,
+    limits: Limits | None = None,
+    budget: float = inf,
+    until_blocked: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+) -> Retreats:
+    """Tell whether an arm can come out of where it is if a joint sticks there.
+
+        retreats = pp.can_retreat(arm, run.q, scene)  # back to the start, with any one joint failed
+        if not retreats:
+            print(retreats.first)
+
+    A joint that is stuck stays at its position, and the others move. Out is a posture outside, but for that
+    joint: where only that joint tells inside from outside, the arm is out where it is. If something is in the
+    way at that posture, one nearby will do, with no control point farther off than a module is long.
+
+    The arm is led back along the path by which it came: each posture as it was then, or as near to it as the
+    stuck joint and the obstacles allow. Where that ends, `plan` searches for another way. All ways are
+    checked between postures as well.
+
+    A way that is returned exists. If none was found, one may exist all the same; `reason` says which. Only
+    an arm that overlaps an obstacle at the posture itself, or outside with that joint where it is, has none.
+
+    Joints that go limp are not covered: where one hangs or leans depends on its load, on friction and on what
+    it touches. Hold it by a brake, and it is stuck.
+
+    Args:
+        arm: the arm.
+        q: configurations in the order in which the arm goes in, (N, nq), such as `Run.q` or
+            `JointPath.configurations`; or a single one, (nq,).
+        scene: the obstacles, which rest, and their margin. Where the arm is closer to them at the posture, or
+            outside while all joints work, the way out need not keep more than that.
+        failed: the joint that sticks, by its name in `Arm.joint_names`; or several, of which one sticks.
+            None: any one of the joints of the chain.
+        postures: rows of q to come out of; None: all of them.
+        out: where to come out: one configuration, (nq,), or several that will do, (n, nq). None: the first
+            row of q.
+        limits: the margin to position limits; `Limits()` if None.
+        budget: time after which no other way is searched for a posture and joint [s]. The answer then depends
+            on the speed of the machine; without a budget it is reproducible. A search can take a minute.
+        until_blocked: whether to end with the first posture from which the arm cannot come out.
+        progress: called with the numbers of postures that are done, and of all.
+
+    Returns:
+        The answers; false if there is a posture and a joint without a way out.
+
+    Raises:
+        InvalidValue: an argument of the wrong type or shape, a single configuration without `out`, obstacles
+            that move, or a continuous joint.
+        UnknownName: a joint that is not on the chain.
+    """
+    require_instance("arm", arm, Arm, "an Arm")
+    require_instance("scene", scene, Scene, "a Scene(...)")
+    if scene.velocities:
+        raise InvalidValue("scene.velocities", sorted(scene.velocities), "obstacles that rest")
+    require_function("progress", progress)
+    if budget != inf:
+        require_positive("budget", budget)
+    require_instance("until_blocked", until_blocked, bool, "True or False")
+    limits = require_limits(limits)
+    rows = _configurations(arm, "q", q)
+    if out is None and len(rows) == 1:
+        raise InvalidValue("out", None, "a configuration outside, as q is a single one")
+    outside = rows[:1] if out is None else _configurations(arm, "out", out)
+    ways = _Ways(arm, rows, scene, outside, limits, budget)
+    columns = _columns(arm, failed)
+    chosen = range(len(rows)) if postures is None else _rows(postures, len(rows))
+    found: list[Retreat] = []
+    for done, row in enumerate(chosen, start=1):
+        found += [ways.find(row, column) for column in columns]
+        if progress is not None:
+            progress(done, len(chosen))
+        if until_blocked and any(each.path is None for each in found):
+            break
+    return Retreats(tuple(found))
+
+
+def _configurations(arm: Arm, name: str, given: ArrayLike) -> Array:
+    """Return checked configurations, (N, nq)."""
+    array = finite_array(name, given)
+    rows = array[None] if array.ndim == 1 else array
+    if rows.ndim != 2 or len(rows) == 0:
+        raise InvalidValue(f"{name} (shape)", array.shape, f"({arm.nq},) or (N, {arm.nq})")
+    return np.array([arm.checked(row, name) for row in rows])
+
+
+def _columns(arm: Arm, failed: str | Sequence[str] | None) -> list[int]:
+    """Return the degrees of freedom of joints that may fail, from base to tip."""
+    moving = arm.columns[arm.limits.upper[arm.columns] > arm.limits.lower[arm.columns]]
+    columns = {arm.joint_names[u]: int(u) for u in moving}
+    if failed is None:
+        return list(columns.values())
+    names = [failed] if isinstance(failed, str) else failed
+    require_instance("failed", names, Sequence, "the name of a joint, or several")
+    if len(names) == 0:
+        raise InvalidValue("failed", names, "at least one joint")
+    for name in names:
+        require_known("joint that moves", name, tuple(columns))
+    return [column for name, column in columns.items() if name in names]
+
+
+def _rows(postures: Sequence[int], count: int) -> Sequence[int]:
+    """Return checked rows."""
+    require_instance("postures", postures, Sequence | np.ndarray, "rows of q")
+    if len(postures) == 0:
+        raise InvalidValue("postures", postures, "at least one row of q")
+    return [require_whole("postures", row, 0, count - 1) for row in postures]
+
+
+def _strides(arm: Arm, rows: Array) -> NDArray[np.int64]:
+    """Return the first row, and others between which no control point moves by more than a stride."""
+    stride = RETREAT.stride * float(arm.chain.module_lengths.mean())
+    points = np.array([arm.chain_at(q).points for q in rows])
+    kept = [0]
+    for row in range(1, len(rows) - 1):
+        if np.linalg.norm(points[row + 1] - points[kept[-1]], axis=1).max() > stride:
+            kept.append(row)
+    return np.array(kept)
+
+
+class _Ways:
+    """Finds ways out.
+
+    Args:
+        arm: the arm, whose joints all work.
+        rows: the way in, (N, nq).
+        scene: the obstacles.
+        outside: postures outside, (n, nq).
+        limits: as for `can_retreat`.
+        budget: likewise.
+    """
+
+    def __init__(
+        self, arm: Arm, rows: Array, scene: Scene, outside: Array, limits: Limits, budget: float
+    ) -> None:
+        self._arm = arm
+        self._rows = rows
+        self._scene = scene
+        self._outside = outside
+        self._limits = limits
+        self._budget = budget
+        self._model = CollisionModel(arm, scene)
+        self._kept = _strides(arm, rows)
+
+    def find(self, row: int, column: int) -> Retreat:
+        """Return the way out of a posture with a joint, given by its degree of freedom, that is stuck."""
+        arm = self._arm
+        q = self._rows[row]
+        name = arm.joint_names[column]
+        position = float(arm.positions(q)[column])
+        begin = self._model.minimum(q)
+        if begin.distance < 0.0:
+            reason = f"at the posture, {describe_distance(begin.pair or (), begin.distance)}"
+            return Retreat(row, name, position, None, reason)
+        locked = arm.with_locked({name: position})
+        back = self._rows[self._kept[self._kept < row][::-1]]
+        reasons = []
+        for outside in self._outside:
+            kept = min(self._scene.margin, begin.distance, self._model.minimum(outside).distance)
+            least = max(kept, 0.0) - RETREAT.rounding * arm.length
+            with no_warnings():  # the model of the arm whose joints all work has warned
+                way = _Way(locked, self._scene, self._limits, least)
+                way.begin(q)
+                found = way.out(back, outside, self._budget)
+            if isinstance(found, JointPath):
+                return Retreat(row, name, position, found, "")
+            reasons.append(found)
+        return Retreat(row, name, position, None, "; or ".join(reasons))
+
+
+class _Way:
+    """Leads an arm with a locked joint out of a posture.
+
+    Args:
+        arm: the arm, with a joint locked.
+        scene: the obstacles.
+        limits: as for `can_retreat`.
+        least: distance to keep [m].
+    """
+
+    def __init__(self, arm: Arm, scene: Scene, limits: Limits, least: float) -> None:
+        self._arm = arm
+        self._scene = scene
+        self._limits = limits
+        self._least = least
+        self._bounds = limits.for_arm(arm)
+        self._model = CollisionModel(arm, scene)
+
+    def begin(self, q: Array) -> None:
+        """Begin a way at a configuration, (nq,)."""
+        self._start = q
+        self._state = self._arm.chain_at(q)
+        self._offsets = [np.zeros(self._arm.nv)]
+
+    def out(self, back: Array, outside: Array, budget: float) -> JointPath | str:
+        """Return the way out, or why there is none.
+
+        Args:
+            back: configurations to follow back, (n, nq).
+            outside: the posture outside, (nq,).
+            budget: time for a search beside the way back [s].
+        """
+        goal = self._without_joint(self._state, outside)
+        closest = self._model.minimum(goal.q)
+        if closest.distance < self._least:
+            goal = self._fitted(goal, outside)
+            off = np.linalg.norm(goal.points - self._arm.chain_at(outside).points, axis=1).max()
+            near = RETREAT.near * float(self._arm.chain.module_lengths.mean())
+            if off > near or self._model.minimum(goal.q).distance < self._least:
+                words = describe_distance(closest.pair or (), closest.distance)
+                return f"outside, with the joint where it is, {words}, and no posture nearby is clear"
+        self._follow(back)
+        found = self._end(goal, budget)
+        if found.blocked_by:
+            return f"{found.blocked_by}; there may be a way that was not found"
+        return found
+
+    def _follow(self, back: Array) -> None:
+        """Follow configurations, (n, nq), as far as the obstacles and the joint that is stuck let the arm."""
+        before = self._start
+        for q in back:
+            if not self._follow_to(before, q, RETREAT.halvings):
+                return
+            before = q
+
+    def _end(self, goal: ChainState, budget: float) -> JointPath:
+        """Return the way on to a goal; `blocked_by` says what comes too close if none was found."""
+        arm = self._arm
+        target = Target.from_configuration(arm, goal.q)
+        if self._move_to(goal):
+            offsets = divide(np.array(self._offsets), arm.joint_units)
+            return JointPath(Objective(arm, target), self._start, offsets, self._scene, found_by=BACK)
+        found = plan(self._state, target, self._scene, self._limits, budget=budget)
+        before = divide(np.array(self._offsets), arm.joint_units)
+        offsets = np.concatenate([before, before[-1] + found.offsets[1:]])
+        found_by = f"{BACK}, {found.found_by}" if len(self._offsets) > 1 else found.found_by
+        return replace(found, start=self._start, offsets=offsets, found_by=found_by)
+
+    def _follow_to(self, before: Array, q: Array, halvings: int) -> bool:
+        """Move to a configuration of the way back, (nq,), or near it; return whether the arm could.
+
+        Args:
+            before: the configuration of the way back that the arm was to take last, (nq,).
+            q: the configuration; that of the locked joint does not count.
+            halvings: how often the motion may be halved.
+        """
+        arm = self._arm
+        if self._move_to(self._without_joint(self._state, q)) or self._move_to(self._fitted(self._state, q)):
+            return True
+        if halvings == 0:
+            return False
+        middle = arm.integrate(before, 0.5 * arm.difference(before, q))
+        return self._follow_to(before, middle, halvings - 1) and self._follow_to(middle, q, halvings - 1)
+
+    def _without_joint(self, state: ChainState, q: Array) -> ChainState:
+        """Return the state at a configuration, (nq,), but for the joint that is locked."""
+        limits = self._arm.limits
+        change = self._arm.difference(state.q, q)
+        return state.moved(np.where(limits.upper > limits.lower, change, 0.0))
+
+    def _fitted(self, state: ChainState, q: Array) -> ChainState:
+        """Return the posture of a configuration, (nq,), as nearly as the arm can take it from a state on."""
+        arm = self._arm
+        objective = Objective(arm, Target.from_points(arm, arm.chain_at(q).points))
+        avoidance = Avoidance.of(self._scene, objective, self._bounds)
+        problem = PlanningProblem(objective, state, self._bounds.edges, avoidance)
+        allowed = max(0.0, self._scene.margin - self._least)
+        return minimize(problem, state, RETREAT.error * arm.length, allowed).state
+
+    def _move_to(self, state: ChainState) -> bool:
+        """Move straight to a state if that is clear; return whether it is."""
+        change = np.asarray(self._arm.difference(self._state.q, state.q))
+        motion = np.stack([np.zeros_like(change), change])
+        if (
+            self._model.minimum_on_motions(self._state.q, motion, self._least, self._least).distance
+            < self._least
+        ):
+            return False
+        self._offsets.append(self._offsets[-1] + change)
+        self._state = state
+        return True

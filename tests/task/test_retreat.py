@@ -1,0 +1,206 @@
+"""Coming out with a joint that is stuck: against an exhaustive search, dense checks, and refusals."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import label
+
+import pinposture as pp
+from pinposture.arm import JointSpec, ModuleTemplate
+from pinposture.errors import InvalidValue, UnknownName
+from pinposture.task.retreat import Retreat
+
+Array = NDArray[np.float64]
+
+LINK, RADIUS, MARGIN, MOST = 0.1, 0.01, 0.005, 2.5
+
+CELLS = 161
+"""Cells along each axis of the grid."""
+
+
+@cache
+def planar(joints: int = 3) -> pp.Arm:
+    hinge = ModuleTemplate("m", (JointSpec("z", lower=-MOST, upper=MOST),), (LINK,))
+    return pp.Arm.from_modules([hinge] * joints)
+
+
+def clearances(positions: Array, discs: Array) -> Array:
+    """Return the distances of planar arms (n, joints) from discs (k, 3): x, y and radius, (n,) [m]."""
+    angles = np.cumsum(positions, axis=1)
+    links = LINK * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    ends = np.cumsum(links, axis=1)
+    begins = ends - links
+    least = np.full(len(positions), np.inf)
+    for x, y, radius in discs:
+        to = np.array([x, y]) - begins
+        share = np.clip(np.einsum("nij,nij->ni", to, links) / LINK**2, 0.0, 1.0)
+        off = np.linalg.norm(to - share[..., None] * links, axis=-1).min(axis=1)
+        least = np.minimum(least, off - radius - RADIUS)
+    return least
+
+
+def scene_of(discs: Array) -> pp.Scene:
+    balls = {f"ball {k}": pp.Sphere((x, y, 0.0), radius) for k, (x, y, radius) in enumerate(discs)}
+    return pp.Scene(balls, margin=MARGIN, self_collision=False, arm_radius=RADIUS)
+
+
+def drawn(seed: int) -> tuple[Array, Array, Array]:
+    """Return discs, a posture among them and one outside, both clear."""
+    rng = np.random.default_rng(seed)
+    while True:
+        count = rng.integers(3, 6)
+        around = rng.uniform(0.06, 0.3, count)
+        angles = rng.uniform(-np.pi, np.pi, count)
+        discs = np.column_stack(
+            [around * np.cos(angles), around * np.sin(angles), rng.uniform(0.01, 0.04, count)]
+        )
+        both = rng.uniform(-MOST, MOST, (2, 3))
+        if clearances(both, discs).min() > MARGIN:
+            return discs, both[0], both[1]
+
+
+def truth(discs: Array, q: Array, goal: Array, joint: int) -> bool | None:
+    """Return whether a way exists with a joint at the same place in both; None if the grid is too coarse.
+
+    Free space is filled from cell to cell. No part of the arm moves by more than `moved` within a cell: what
+    keeps the margin by more than that is free in the whole cell, and what lacks more is not free at all.
+    """
+    axis = np.linspace(-MOST, MOST, CELLS)
+    step = axis[1] - axis[0]
+    moved = 0.5 * step * LINK * (3 + 2)
+    free = [k for k in range(3) if k != joint]
+    positions = np.full((CELLS, CELLS, 3), q[joint])
+    positions[..., free[0]], positions[..., free[1]] = np.meshgrid(axis, axis, indexing="ij")
+    distances = clearances(positions.reshape(-1, 3), discs).reshape(CELLS, CELLS)
+    ends = [tuple(np.rint((each[free] + MOST) / step).astype(int)) for each in (q, goal)]
+    surely = label(distances > MARGIN + moved)[0]
+    perhaps = label(distances > MARGIN - moved, np.ones((3, 3)))[0]
+    if surely[ends[0]] > 0 and surely[ends[0]] == surely[ends[1]]:
+        return True
+    return None if perhaps[ends[0]] == perhaps[ends[1]] else False
+
+
+def require_clear(way: Retreat, discs: Array, q: Array, joint: int) -> Array:
+    """Require that a way begins at q, keeps the joint and the margin; return where it ends."""
+    assert way.path is not None
+    rows = way.path.configurations
+    assert np.array_equal(rows[0], q)
+    assert np.all(rows[:, joint] == q[joint])
+    for begin, end in pairwise(rows):
+        shares = np.linspace(0.0, 1.0, 2 + int(np.abs(end - begin).max() / 0.005))[:, None]
+        assert clearances(begin + shares * (end - begin), discs).min() > MARGIN - 1e-4
+    return np.asarray(rows[-1])
+
+
+def compare(seed: int) -> list[tuple[bool, bool | None]]:
+    """Return for each joint whether a way was found, and whether one exists."""
+    discs, q, outside = drawn(seed)
+    found = []
+    for way in pp.can_retreat(planar(), np.array([outside, q]), scene_of(discs), postures=[1]).ways:
+        joint = planar().joint_names.index(way.joint)
+        goal = outside.copy()
+        goal[joint] = q[joint]
+        if way.path is not None:
+            last = require_clear(way, discs, q, joint)
+            if clearances(goal[None], discs)[0] > MARGIN + 1e-6:
+                assert np.abs(last - goal).max() < 1e-9
+                found.append((True, truth(discs, q, goal, joint)))
+        elif "outside" in way.reason:
+            assert clearances(goal[None], discs)[0] < MARGIN + 1e-6
+        else:
+            assert "there may be a way" in way.reason
+            found.append((False, truth(discs, q, goal, joint)))
+    return found
+
+
+@pytest.mark.parametrize("seed", [10, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(10))])
+def test_ways_out_are_found_where_an_exhaustive_search_finds_them_and_nowhere_else(seed: int) -> None:
+    for found, exists in compare(seed):
+        assert exists is None or found == exists
+
+
+def hooked() -> tuple[Array, Array]:
+    """Return a way by which the last link hooks around a disc, (n, 3), and discs on both sides, (k, 3)."""
+    discs = np.array([(0.12, 0.045, 0.02), (0.1, -0.07, 0.03)])
+    return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.1], [0.0, 0.0, 2.1]]), discs
+
+
+def test_the_exhaustive_search_tells_both_kinds_apart() -> None:
+    rows, discs = hooked()
+    away = np.array([-2.0, 0.0, 2.1])
+    assert truth(np.zeros((0, 3)), rows[-1], away, 2) is True
+    assert truth(discs, rows[-1], away, 2) is False
+
+
+def test_a_posture_that_was_reached_by_one_joint_is_left_by_it_and_by_no_other() -> None:
+    rows, discs = hooked()
+    scene = scene_of(discs)
+    retreats = pp.can_retreat(planar(), rows, scene, "m01_j1_z")
+    assert retreats
+    assert retreats.first is None
+    assert [each.posture for each in retreats.ways] == [0, 1, 2]
+    for each in retreats.ways:
+        assert each.path is not None
+        assert np.allclose(each.path.configurations[-1], rows[0])
+        assert each.path.found_by == "the way back"
+
+
+@pytest.mark.long
+def test_the_search_ends_with_the_first_posture_that_is_blocked() -> None:
+    rows, discs = hooked()
+    away = [-2.0, 0.0, 0.0]
+    stuck = pp.can_retreat(
+        planar(), rows, scene_of(discs), "m03_j1_z", postures=[2, 1], out=away, until_blocked=True
+    )
+    assert not stuck
+    assert stuck.first is not None
+    assert (stuck.first.posture, stuck.first.position) == (2, 2.1)
+    assert len(stuck.ways) == 1
+
+
+def test_a_way_out_can_be_performed_by_the_arm_with_the_joint_locked() -> None:
+    rows, discs = hooked()
+    scene = scene_of(discs)
+    (way,) = pp.can_retreat(planar(), rows, scene, "m02_j1_z", postures=[2]).ways
+    assert way.path is not None
+    timed = pp.retime(way.path, pp.Limits(dt=0.01, velocity=1.0, acceleration=5.0))
+    assert timed.duration > 2.0
+    assert way.path.arm.limits.lower[1] == way.path.arm.limits.upper[1] == 0.0
+
+
+def test_an_arm_that_overlaps_an_obstacle_has_no_way_out_and_says_what_it_overlaps() -> None:
+    ball = pp.Scene({"ball": pp.Sphere((0.2, 0.0, 0.0), 0.03)}, self_collision=False, arm_radius=RADIUS)
+    (way,) = pp.can_retreat(planar(), np.zeros(3), ball, "m01_j1_z", out=[1.5, 0.0, 0.0]).ways
+    assert way.path is None
+    assert way.reason.startswith("at the posture, ")
+    assert "ball" in way.reason
+    # Outside, the tip is bent into a ball as well, and nothing near is clear.
+    around = {"ball": pp.Sphere((0.0, 0.3, 0.0), 0.15)}
+    scene = pp.Scene(around, self_collision=False, arm_radius=RADIUS)
+    (way,) = pp.can_retreat(planar(), np.zeros(3), scene, "m03_j1_z", out=[np.pi / 2, 0.0, 0.0]).ways
+    assert way.reason.startswith("outside, with the joint where it is, ")
+
+
+def test_bad_questions_are_refused() -> None:
+    rows, discs = hooked()
+    scene = scene_of(discs)
+    for words, arguments in (
+        ("out", {"q": rows[0]}),
+        ("q (shape)", {"q": rows[None]}),
+        ("failed", {"q": rows, "failed": []}),
+        ("postures", {"q": rows, "postures": [3]}),
+        ("postures", {"q": rows, "postures": []}),
+        ("budget", {"q": rows, "budget": 0.0}),
+    ):
+        with pytest.raises(InvalidValue, match=words.replace("(", r"\(").replace(")", r"\)")):
+            pp.can_retreat(planar(), scene=scene, **arguments)
+    with pytest.raises(UnknownName, match="joint that moves"):
+        pp.can_retreat(planar(), rows, scene, "elbow")
+    moving = pp.Scene(scene.obstacles, velocities={"ball 0": (0.1, 0.0, 0.0)})
+    with pytest.raises(InvalidValue, match="obstacles that rest"):
+        pp.can_retreat(planar(), rows, moving)
