@@ -324,7 +324,8 @@ class _Way:
         closest = self._model.minimum(goal.q)
         if closest.distance < self._least:
             goal = self._fitted(goal, outside)
-            off = np.linalg.norm(self._arm.chain_at(outside).points - goal.points, axis=1).max()
+            target = Target.from_points(self._arm, self._arm.chain_at(outside).points)
+            off = np.linalg.norm(target.errors(goal.points), axis=1).max()
             near = RETREAT.near * float(self._arm.chain.module_lengths.mean())
             if off > near or self._model.minimum(goal.q).distance < self._least:
                 words = describe_distance(closest.pair or (), closest.distance)
