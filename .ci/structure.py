@@ -59,7 +59,7 @@ CEILINGS = {
     "least-squares loops": 8,  # 3
     "box solvers": 7,  # 2
     "finders of a goal": 4,  # 1
-    "forms of Algorithm 1": 2,  # 1
+    "forms of Algorithm 1": 1,  # 1
     "chain descriptions": 1,  # 1
     "files of a step": 25,  # 12
     "files of a task": 82,  # 40
@@ -109,10 +109,7 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "control.reach._Search",
         "placement.points.fit_points",
     ),
-    "forms of Algorithm 1": (
-        "kernels.modules.place_modules",  # closed forms
-        "placement.resolve.Walk",  # all kinds of modules
-    ),
+    "forms of Algorithm 1": ("placement.resolve.Walk",),  # by a kernel for modules with closed forms
     "chain descriptions": ("kernels.arrays.Joints",),
 }
 """The modules, classes and functions that do one job, by the job, without the name of the package."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -134,10 +134,6 @@ class ClosedForm:
     def shape(self) -> Array:
         """Lengths l1 and l2 [m] and sense, (3,), as the kernels take them; l1 is the link of a circle."""
         return np.array([*astuple(self), 0.0, 1.0][:3])
-
-    def shape_in(self, frame: Array) -> Array:
-        """Return the row (12,) of `kernels.place_modules` for a module with a base frame (3, 3)."""
-        return np.concatenate([self.shape, frame.ravel()])
 
     @property
     def reach(self) -> float:
@@ -449,13 +445,43 @@ def arm_units(arm: Arm) -> tuple[Unit, ...]:
     return _units(arm).units
 
 
+class UnitRun(NamedTuple):
+    """Units that one call places: consecutive ones with closed forms in the library, or any other one.
+
+    Attributes:
+        units: the units.
+        numbers: the closed form, first joint and module of each, (n, 3); empty without closed forms.
+        shapes: its lengths, sense and base frame as `kernels.place_modules` takes them, (n, 12); empty too.
+    """
+
+    units: tuple[Unit, ...]
+    numbers: NDArray[np.int64]
+    shapes: Array
+
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether these are units with closed forms."""
+        return len(self.numbers) > 0
+
+    @property
+    def inputs(self) -> slice:
+        """Degrees of freedom from the first unit to the last as a range into `Arm.columns`."""
+        return slice(self.units[0].first, self.units[-1].inputs.stop)
+
+    def shapes_in(self, turn: Array) -> Array:
+        """Return the shapes with all base frames turned by a rotation (3, 3), (n, 12)."""
+        turned: Array = self.shapes.copy()
+        turned[:, 3:] = (turn @ self.shapes[:, 3:].reshape(-1, 3, 3)).reshape(-1, 9)
+        return turned
+
+
 class _Units(NamedTuple):
     """The units of an arm, and data derived from them."""
 
     registry: int  # state of the registry for which they are valid
     units: tuple[Unit, ...]
     names: tuple[str, ...]  # kinematics of each module
-    arrays: tuple[NDArray[np.int64], Array] | None  # of `unit_arrays`; None if a unit has no closed form
+    runs: tuple[UnitRun, ...]
 
 
 def _units(arm: Arm) -> _Units:
@@ -463,15 +489,37 @@ def _units(arm: Arm) -> _Units:
     if known is None or known.registry != registry_state():
         units = _find_units(arm)
         named = {unit.module: type(unit.kinematics).__name__ for unit in units}
-        forms = [unit.kinematics for unit in units if isinstance(unit.kinematics, ClosedForm)]
-        arrays = None
-        if len(forms) == len(units):
-            rows = [(form.form, unit.first, unit.module) for form, unit in zip(forms, units, strict=True)]
-            shapes = [form.shape_in(unit.frame) for form, unit in zip(forms, units, strict=True)]
-            arrays = np.array(rows, dtype=np.int64), np.array(shapes)
         names = tuple(named[module] for module in range(arm.n_modules))
-        known = arm.cache[arm_units] = _Units(registry_state(), units, names, arrays)
+        runs = tuple(_run_of(tuple(each)) for each in _divide(arm, units))
+        known = arm.cache[arm_units] = _Units(registry_state(), units, names, runs)
     return known
+
+
+def _divide(arm: Arm, units: Sequence[Unit]) -> list[list[Unit]]:
+    """Divide units into runs; joints between those of a run, which move no end, can be at zero."""
+    lower = arm.limits.lower[arm.columns]
+    upper = arm.limits.upper[arm.columns]
+    runs: list[list[Unit]] = []
+    stop = 0
+    for unit in units:
+        between = slice(stop, unit.first)
+        at_zero = np.all((lower[between] <= 0.0) & (upper[between] >= 0.0))
+        before = runs[-1][-1] if runs else unit
+        both = isinstance(before.kinematics, ClosedForm) and isinstance(unit.kinematics, ClosedForm)
+        if runs and both and at_zero:
+            runs[-1].append(unit)
+        else:
+            runs.append([unit])
+        stop = unit.inputs.stop
+    return runs
+
+
+def _run_of(units: tuple[Unit, ...]) -> UnitRun:
+    """Return units as a run."""
+    closed = [(unit, unit.kinematics) for unit in units if isinstance(unit.kinematics, ClosedForm)]
+    rows = [(form.form, unit.first, unit.module) for unit, form in closed]
+    shapes = [np.concatenate([form.shape, unit.frame.ravel()]) for unit, form in closed]
+    return UnitRun(units, np.array(rows, dtype=np.int64).reshape(-1, 3), np.array(shapes).reshape(-1, 12))
 
 
 def kinematics_names(arm: Arm) -> tuple[str, ...]:
@@ -483,24 +531,19 @@ def kinematics_names(arm: Arm) -> tuple[str, ...]:
     return _units(arm).names
 
 
-def unit_arrays(arm: Arm) -> tuple[NDArray[np.int64], Array]:
-    """Return the `units` (n, 3) and `shapes` (n, 12) arguments of `kernels.place_modules` for an arm.
+def unit_runs(arm: Arm) -> tuple[UnitRun, ...]:
+    """Return the units of an arm by the calls that place them.
 
     Raises:
-        UnsupportedModule: a module has no closed form in the library.
+        UnsupportedModule: as `arm_units`.
     """
-    known = _units(arm)
-    if known.arrays is not None:
-        return known.arrays
-    unit = next(unit for unit in known.units if not isinstance(unit.kinematics, ClosedForm))
-    name = type(unit.kinematics).__name__
-    reason = unit.reason or f"it is placed by custom kinematics ({name})"
-    raise UnsupportedModule(unit.module + 1, arm.module_joints[unit.module], reason)
+    return _units(arm).runs
 
 
 def is_compiled(arm: Arm) -> bool:
     """Return whether the library's closed forms place all modules, so that a single kernel call suffices."""
-    return _units(arm).arrays is not None
+    runs = _units(arm).runs
+    return len(runs) == 1 and runs[0].in_closed_form
 
 
 def has_custom_kinematics(arm: Arm) -> bool:

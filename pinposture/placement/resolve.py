@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -34,15 +34,14 @@ from pinposture.placement.least_squares import (
 )
 from pinposture.placement.module_kinematics import (
     Circle,
-    ClosedForm,
     NumericModule,
     Torus,
     Unit,
-    arm_units,
+    UnitRun,
     has_custom_kinematics,
     is_compiled,
     kinematics_names,
-    unit_arrays,
+    unit_runs,
 )
 from pinposture.placement.target import (
     IN_MILLIMETRES,
@@ -118,107 +117,145 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
 
 
 def _place_modules(arm: Arm, curve: Curve, samples: int, near: Target | None) -> Placement:
-    units = arm_units(arm)
-    names = kinematics_names(arm)
-    if is_compiled(arm):
-        return _place_compiled(arm, curve, samples, units)._replace(placed_by=names)
-    preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
-    walk = Walk(arm, curve, samples, preferred)
-    parameters = np.full(arm.n_modules, curve.length)
+    runs = unit_runs(arm)
+    walk = Walk(arm, curve, samples, near)
     failure = None
-    for unit in units:
-        failure = walk.place(unit)
+    for run in runs:
+        failure = walk.place(run)
         if failure is not None:
             break
-        parameters[unit.module] = walk.parameter
-    if failure is not None:
-        parameters[failure.module - 1 :] = curve.length
-        ahead = arm.columns[unit.first :]
-        walk.positions[ahead] = arm.positions(arm.straight())[ahead]
-    return Placement(walk.positions, parameters, failure, names)
-
-
-def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...]) -> Placement:
-    """Place modules that all have a closed form in the library."""
-    numbers, shapes = unit_arrays(arm)
-    parameter, on_curve = beginning(arm, curve)
-    base = np.array(arm.chain.base)
-    first = base if on_curve else curve.at(parameter)
-    placement = ClosedFormPlacement(curve, samples, units, numbers, shapes, parameter, base, first)
-    parameters = np.full(arm.n_modules, curve.length)
-    positions = np.zeros(arm.nv)
-    positions[arm.columns], failure = placement.place(arm, arm.columns, parameters)
-    if failure is not None:
-        parameters[failure.module - 1 :] = curve.length
-    return Placement(positions, parameters, failure)
+    return Placement(walk.positions, walk.parameters, failure, kinematics_names(arm))
 
 
 class Walk:
-    """Algorithm 1 for an arm with different kinds of module kinematics.
+    """Algorithm 1: modules are placed from base to tip, run by run.
 
     Attributes:
-        parameter: arc length of the end of the last placed module [m].
+        parameters: arc length of the end of each module, (m,) [m]; the length of the curve for modules not
+            placed.
         positions: joint positions (nv,) [rad or m]; the preferred ones for modules not placed yet.
     """
 
-    def __init__(self, arm: Arm, curve: Curve, samples: int, preferred: Array) -> None:
+    def __init__(self, arm: Arm, curve: Curve, samples: int, near: Target | None) -> None:
         self._arm = arm
         self._curve = curve
         self._samples = samples
-        self.parameter, on_curve = beginning(arm, curve)
-        self.positions = np.where(arm.base_slides, base_positions(arm, curve, self.parameter), preferred)
+        self._straight = arm.positions(arm.straight())
+        preferred = self._straight if near is None or near.q is None else arm.positions(near.q)
+        self._parameter, on_curve = beginning(arm, curve)
+        self.parameters = np.full(arm.n_modules, curve.length)
+        self.positions = np.array(preferred)
+        self._from_base = on_curve
+        if np.any(arm.base_slides):
+            moved = base_positions(arm, curve, self._parameter)
+            self.positions = np.where(arm.base_slides, moved, self.positions)
+            self._from_base = True
         self._turn = np.eye(3)
         self._place = np.zeros(3)
         self._carried = 0
-        self._from_base = on_curve or bool(np.any(arm.base_slides))
 
-    def place(self, unit: Unit) -> TargetError | None:
-        """Place the next unit; return the error if that fails."""
-        self._carry(unit.joints.start)
-        columns = self._arm.columns[unit.inputs]
+    def place(self, run: UnitRun) -> TargetError | None:
+        """Place the next units; return the error if that fails."""
+        first = run.units[0]
+        self._carry(first.joints.start)
+        base = first.base
+        if self._carried:
+            base = self._turn @ (base - self._arm.chain.origins[self._carried - 1]) + self._place
+        failed: tuple[Unit, TargetError] | None
+        if run.in_closed_form:
+            failed = self._place_closed_forms(run, base)
+        else:
+            failed = self._place_one(first, pin.SE3(self._turn @ first.frame, base))
+        if failed is None:
+            self._from_base = True
+            return None
+        unit, error = failed
+        self.parameters[unit.module :] = self._curve.length
+        ahead = self._arm.columns[unit.first :]
+        self.positions[ahead] = self._straight[ahead]
+        return error
+
+    def _carry(self, stop: int) -> None:
+        """Advance the frame along the joints before an index."""
+        if stop > self._carried:
+            joints = self._arm.kinematics.constants.joints
+            kernels.move_frame(joints, self._carried, stop, self.positions, self._turn, self._place)
+            self._carried = stop
+
+    def _place_closed_forms(self, run: UnitRun, base: Array) -> tuple[Unit, TargetError] | None:
+        """Place units with closed forms, the first of which has its base at a point, (3,) [m]."""
+        arm = self._arm
+        columns = arm.columns
+        lower = arm.limits.lower[columns]
+        upper = arm.limits.upper[columns]
+        found = self.positions[columns]
+        found[run.inputs] = 0.0  # as closed forms take joints between them that do not move an end
+        stopped, state = self._call_kernel(run, base, lower, upper, found, self.parameters)
+        self.positions[columns] = found
+        if stopped < 0:
+            self._parameter = float(self.parameters[run.units[-1].module])
+            return None
+        unit = run.units[stopped]
+        exceeded = ""
+        if state[8]:  # on the curve, but not within its joint limits: by how much are they exceeded?
+            own = unit.inputs
+            wide_lower = lower.copy()
+            wide_upper = upper.copy()
+            wide_lower[own] = -np.inf
+            wide_upper[own] = np.inf
+            self._call_kernel(run, base, wide_lower, wide_upper, found, np.empty(arm.n_modules))
+            excess = np.maximum(lower - found, found - upper)[own]
+            worst = unit.first + int(np.argmax(excess))
+            allowed = f"{lower[worst]:.4g} to {upper[worst]:.4g} rad"
+            name = arm.chain.input_names[worst]
+            exceeded = f": joint {name!r} would be at {found[worst]:.4g} rad, allowed: {allowed}"
+        return unit, _failure(arm, self._curve, unit, state, exceeded)
+
+    def _call_kernel(
+        self, run: UnitRun, base: Array, lower: Array, upper: Array, found: Array, parameters: Array
+    ) -> tuple[int, Array]:
+        """Call `kernels.place_modules`; return its result and the final state, (9,)."""
+        state = np.empty(9)
+        state[0] = self._parameter
+        state[1:4] = base
+        state[4:7] = base if self._from_base else self._curve.at(self._parameter)
+        spline, length = self._curve.measured
+        stopped = kernels.place_modules(
+            spline,
+            length,
+            self._samples,
+            run.numbers,
+            run.shapes_in(self._turn) if self._carried else run.shapes,
+            lower,
+            upper,
+            state,
+            found,
+            parameters,
+        )
+        return stopped, state
+
+    def _place_one(self, unit: Unit, base: pin.SE3) -> tuple[Unit, TargetError] | None:
+        """Place a unit without a closed form in the library."""
         kinematics = unit.kinematics
-        offset = unit.base - (self._arm.chain.origins[self._carried - 1] if self._carried else 0.0)
-        base = pin.SE3(self._turn @ unit.frame, self._turn @ offset + self._place)
+        columns = self._arm.columns[unit.inputs]
         found: tuple[float, Array] | TargetError
-        if isinstance(kinematics, ClosedForm):
-            found = self._by_closed_form(unit, kinematics, base)
-        elif isinstance(kinematics, NumericModule):
-            found = kinematics.place(base, self._curve, self.parameter, self.positions[columns])
+        if isinstance(kinematics, NumericModule):
+            found = kinematics.place(base, self._curve, self._parameter, self.positions[columns])
             if not found[0] >= 0.0:
                 found = self._no_place(unit, base, found[0] == -1.0)
         else:
             found = self._by_your_own(unit, kinematics, base)
         if isinstance(found, TargetError):
-            return found
-        self.parameter, self.positions[columns] = found
-        self._carry(unit.joints.stop)
+            return unit, found
+        self._parameter, self.positions[columns] = found
+        self.parameters[unit.module] = self._parameter
         return None
-
-    def _carry(self, stop: int) -> None:
-        """Advance the frame along the joints before an index."""
-        joints = self._arm.kinematics.constants.joints
-        kernels.move_frame(joints, self._carried, stop, self.positions, self._turn, self._place)
-        self._carried = stop
-
-    def _by_closed_form(
-        self, unit: Unit, form: ClosedForm, base: pin.SE3
-    ) -> tuple[float, Array] | TargetError:
-        numbers = np.array([[form.form, 0, 0]], dtype=np.int64)
-        shapes = form.shape_in(base.rotation)[None]
-        here = unit.joints.start > 0 or self._from_base
-        first = base.translation if here else self._curve.at(self.parameter)
-        placement = ClosedFormPlacement(
-            self._curve, self._samples, (unit,), numbers, shapes, self.parameter, base.translation, first
-        )
-        parameters = np.zeros(1)
-        found, failure = placement.place(self._arm, self._arm.columns[unit.inputs], parameters)
-        return (float(parameters[0]), found) if failure is None else failure
 
     def _by_your_own(
         self, unit: Unit, kinematics: ModuleKinematics, base: pin.SE3
     ) -> tuple[float, Array] | TargetError:
         arm = self._arm
-        s = self.parameter
+        s = self._parameter
         name = type(kinematics).__name__
         columns = arm.columns[unit.inputs]
         lower = arm.limits.lower[columns]
@@ -241,7 +278,7 @@ class Walk:
     def _no_place(self, unit: Unit, base: pin.SE3, in_reach: bool) -> TargetError:
         """Explain why there is no point for a module; `in_reach` if the curve ends within its reach."""
         curve = self._curve
-        at = self.parameter
+        at = self._parameter
         module = unit.module + 1
         left = curve.length - at
         reach = unit.kinematics.reach
@@ -256,88 +293,6 @@ class Walk:
         text = "no posture within its joint limits puts its end on the curve"
         kind = CurveLeavesTooSharply if unit.module == 0 else CurveBendsTooMuch
         return kind(module, at, f"{text}; {GENTLER}")
-
-
-class ClosedFormPlacement(NamedTuple):
-    """Consecutive units with closed forms, to be placed on a curve; see `kernels.place_modules`.
-
-    Attributes:
-        curve: the curve.
-        samples: number of samples of the curve.
-        units: the units.
-        numbers: their closed forms, first joints and modules, (n, 3).
-        shapes: their shapes, (n, 12).
-        parameter: arc length at which they begin [m].
-        base: position of the first base, (3,) [m].
-        first: the point of the curve there, (3,) [m].
-    """
-
-    curve: Curve
-    samples: int
-    units: tuple[Unit, ...]
-    numbers: NDArray[np.int64]
-    shapes: Array
-    parameter: float
-    base: Array
-    first: Array
-
-    def place(
-        self, arm: Arm, columns: NDArray[np.int64], parameters: Array
-    ) -> tuple[Array, TargetError | None]:
-        """Return the positions of joints, (k,) [rad], and why a unit could not be placed.
-
-        Args:
-            arm: the arm.
-            columns: tangent space indices of the joints, (k,).
-            parameters: filled with the arc length of the end of each module, (m,) [m].
-        """
-        lower = arm.limits.lower[columns]
-        upper = arm.limits.upper[columns]
-        stopped, state, found = self._run(lower, upper, parameters)
-        if stopped < 0:
-            return found, None
-        unit = self.units[stopped]
-        exceeded = ""
-        if state[8]:
-            own = slice(unit.first - self.units[0].first, unit.inputs.stop - self.units[0].first)
-            exceeded = self._exceeded_limit(arm, unit, own, lower, upper)
-        return found, _failure(arm, self.curve, unit, state, exceeded)
-
-    def _run(self, lower: Array, upper: Array, parameters: Array) -> tuple[int, Array, Array]:
-        """Return the result, the final state, (9,), and the positions of `kernels.place_modules`, (k,)."""
-        state = np.empty(9)
-        state[0] = self.parameter
-        state[1:4] = self.base
-        state[4:7] = self.first
-        found = np.zeros(len(lower))
-        spline, length = self.curve.measured
-        stopped = kernels.place_modules(
-            spline,
-            length,
-            self.samples,
-            self.numbers,
-            self.shapes,
-            lower,
-            upper,
-            state,
-            found,
-            parameters,
-        )
-        return stopped, state, found
-
-    def _exceeded_limit(self, arm: Arm, unit: Unit, own: slice, lower: Array, upper: Array) -> str:
-        """Describe the limit of (k,) [rad] that a unit with joints `own` has to exceed most on the curve."""
-        wide_lower = lower.copy()
-        wide_upper = upper.copy()
-        wide_lower[own] = -np.inf
-        wide_upper[own] = np.inf
-        needed = self._run(wide_lower, wide_upper, np.empty(arm.n_modules))[2][own]
-        low = lower[own]
-        high = upper[own]
-        worst = int(np.argmax(np.maximum(low - needed, needed - high)))
-        name = arm.chain.input_names[unit.inputs][worst]
-        allowed = f"{low[worst]:.4g} to {high[worst]:.4g} rad"
-        return f": joint {name!r} would be at {needed[worst]:.4g} rad, allowed: {allowed}"
 
 
 def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) -> TargetError:

@@ -30,7 +30,7 @@ from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
-from pinposture.placement.module_kinematics import is_compiled, unit_arrays
+from pinposture.placement.module_kinematics import is_compiled, unit_runs
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
 from pinposture.placement.target import beginning, fitting_slides, length_misfit
 from pinposture.schema import (
@@ -567,7 +567,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
     free = [k for k in curved if keyframes[k].joints is None]
     methods = {targets[k].method for k in free or curved}
     method = "sequential"
-    if methods != {"sequential"} or not is_compiled(arm):
+    if methods != {"sequential"} or not is_compiled(arm) or np.any(arm.base_slides):
         method = "smooth" if "smooth" in methods else "closest"
     resolved = []
     for index, keyframe in enumerate(keyframes):
@@ -741,7 +741,7 @@ class SequentialFollower:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._units, self._shapes = unit_arrays(arm)
+        self._run = unit_runs(arm)[0]
         self._lower = arm.limits.lower[arm.columns]
         self._upper = arm.limits.upper[arm.columns]
         self._base = np.array(arm.chain.base)
@@ -762,8 +762,8 @@ class SequentialFollower:
             spline,
             length,
             SEQUENTIAL_SAMPLES,
-            self._units,
-            self._shapes,
+            self._run.numbers,
+            self._run.shapes,
             self._lower,
             self._upper,
             state,

@@ -15,7 +15,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.placement.module_kinematics import unit_arrays
+from pinposture.placement.module_kinematics import unit_runs
 
 STANDS = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -0.2, 0.7]))
 MIXED = [
@@ -41,7 +41,9 @@ def arm_called(name: str) -> pp.Arm:
 
 def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> int:
     """Compare the two; the index of the unit without a place, or -1."""
-    units, shapes = unit_arrays(arm)
+    (run,) = unit_runs(arm)
+    units = run.numbers
+    shapes = run.shapes
     lower = arm.limits.lower[arm.columns]
     upper = arm.limits.upper[arm.columns]
     start = arm.chain.base if parameter == 0.0 else curve.at(parameter)

@@ -330,3 +330,25 @@ def test_a_target_is_printed_in_one_line() -> None:
     assert repr(target) == "Target(6 points, a configuration, on a curve of 1 m, sequential placement)"
     assert repr(target.region(1, 3)).startswith("Target(3 of 6 points, a configuration")
     assert repr(pp.Target.from_points(arm, target.points)) == "Target(6 points, no configuration)"
+
+
+def test_modules_in_closed_form_begin_where_slides_of_the_base_carry_them() -> None:
+    drives = tuple(pp.JointSpec(axis, "prismatic", -1e6, 1e6) for axis in "xy")
+    mobile = pp.ModuleTemplate(
+        "base", (*drives, pp.JointSpec("y"), pp.JointSpec("z")), (0.0, 0.0, 0.05, 0.05)
+    )
+    arm = pp.Arm.from_modules([mobile] + [pp.template("RyRz")] * 7)
+    points = np.array([(1, 1, 0), (1.3, 1, 0), (1.6, 1.1, 0), (1.9, 1.2, 0.1), (2.5, 1.2, 0.1)])
+    curve = pp.Curve.spline(arm.length * points)
+    target = pp.resolve_targets(arm, curve, placement="as_is", method="sequential")
+    np.testing.assert_allclose(arm.positions(target.q)[:2], curve.start[:2], atol=1e-12)
+    assert curve.nearest(arm.at(target.q).points).distance.max() < 1e-5 * arm.length
+
+
+def test_modules_that_cannot_be_placed_stay_within_limits_that_exclude_zero() -> None:
+    arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(1.7, 3.0)] * 4)
+    points = np.array([(0, 0, 0), (0.3, 0, 0), (0.6, 0.1, 0), (0.9, 0.2, 0.1), (1.5, 0.2, 0.1)])
+    curve = pp.Curve.spline(arm.length * points)
+    found = pp.resolve_targets(arm, curve, placement="align", method="sequential", incomplete="partial")
+    assert found.incomplete
+    assert arm.within_limits(found.q)

@@ -24,7 +24,7 @@ from pinposture.placement import (
     register_module_kinematics,
     unregister_module_kinematics,
 )
-from pinposture.placement.module_kinematics import arm_units, is_compiled
+from pinposture.placement.module_kinematics import UnitRun, arm_units, is_compiled, unit_runs
 from pinposture.placement.resolve import Walk
 
 J = pp.JointSpec
@@ -95,13 +95,13 @@ def test_shipped_arms_say_what_placed_them(file: Path) -> None:
 def test_a_walk_from_unit_to_unit_is_that_of_the_kernel(name: str) -> None:
     arm = pp.Arm.from_template(name, 8, base_placement=PLACEMENT)
     target = pp.resolve_targets(arm, gentle(arm), placement="align", method="sequential")
-    walk = Walk(arm, target.curve, 2000, np.zeros(arm.nv))
-    parameters = np.zeros(8)
-    for unit in arm_units(arm):
-        assert walk.place(unit) is None
-        parameters[unit.module] = walk.parameter
+    walk = Walk(arm, target.curve, 2000, None)
+    (run,) = unit_runs(arm)
+    for k, unit in enumerate(run.units):
+        one = UnitRun((unit,), run.numbers[k : k + 1], run.shapes[k : k + 1])
+        assert walk.place(one) is None
     np.testing.assert_allclose(walk.positions, arm.positions(target.q), atol=1e-9)
-    np.testing.assert_allclose(parameters, target.parameters, atol=1e-10)
+    np.testing.assert_allclose(walk.parameters, target.parameters, atol=1e-10)
 
 
 def test_rolls_and_hinges_are_placed_in_closed_form() -> None:
