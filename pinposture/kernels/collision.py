@@ -558,10 +558,13 @@ def bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
 
 
 @inlined
-def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -> float:
-    """Return a lower bound of the distance of a point; minus its radius, one for a ball around it."""
+def _axis_bound(pairs: Pairs, obstacle: int, middle: Three, way: Three) -> float:
+    """Return a lower bound of the distance of an axis, given its middle and half of the way along it."""
     # Numbers are read one by one here and below: slicing an array would take as long as everything else.
     kind = pairs.shapes[obstacle]
+    x, y, z = middle
+    wx, wy, wz = way
+    length = np.sqrt(wx * wx + wy * wy + wz * wz)
     if kind == SEGMENT:
         lines = pairs.lines
         ux = lines[obstacle, 1, 0] - lines[obstacle, 0, 0]
@@ -575,25 +578,29 @@ def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -
         gx = gx - t * ux
         gy = gy - t * uy
         gz = gz - t * uz
-        return (
-            np.sqrt(gx * gx + gy * gy + gz * gz)
-            - pairs.radii[len(pairs.radii) - len(pairs.shapes) + obstacle]
-        )
+        radius = pairs.radii[len(pairs.radii) - len(pairs.shapes) + obstacle]
+        return np.sqrt(gx * gx + gy * gy + gz * gz) - radius - length
     frames = pairs.frames
     centers = pairs.centers
     x = x - centers[obstacle, 0]
     y = y - centers[obstacle, 1]
     z = z - centers[obstacle, 2]
     if kind == PLANE:
-        return frames[obstacle, 0, 2] * x + frames[obstacle, 1, 2] * y + frames[obstacle, 2, 2] * z
+        height = frames[obstacle, 0, 2] * x + frames[obstacle, 1, 2] * y + frames[obstacle, 2, 2] * z
+        return height - length
     squares = 0.0
+    apart = -np.inf
     inside = -np.inf
     for axis in range(3):
-        along = frames[obstacle, 0, axis] * x + frames[obstacle, 1, axis] * y + frames[obstacle, 2, axis] * z
-        beyond = abs(along) - pairs.halves[obstacle, axis]
+        a0 = frames[obstacle, 0, axis]
+        a1 = frames[obstacle, 1, axis]
+        a2 = frames[obstacle, 2, axis]
+        beyond = abs(a0 * x + a1 * y + a2 * z) - pairs.halves[obstacle, axis]
         inside = max(inside, beyond)
+        beyond = beyond - abs(a0 * wx + a1 * wy + a2 * wz)
+        apart = max(apart, beyond)
         squares += max(beyond, 0.0) ** 2
-    return np.sqrt(squares) if inside > 0.0 else inside
+    return np.sqrt(squares) if apart > 0.0 else min(inside, 0.0) - length
 
 
 @inlined
@@ -605,7 +612,7 @@ def group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
     y = blocks[block, 1]
     z = blocks[block, 2]
     if other >= 0:
-        return _point_distance(pairs, other, x, y, z) - blocks[block, 3]
+        return _axis_bound(pairs, other, (x, y, z), (0.0, 0.0, 0.0)) - blocks[block, 3]
     other += len(blocks)
     x = x - blocks[other, 0]
     y = y - blocks[other, 1]
@@ -614,24 +621,31 @@ def group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
 
 
 @inlined
-def _body_sphere(ends: Array3, radii: Array1, body: int) -> tuple[float, float, float, float]:
-    """Return centre and radius of a sphere around the capsule of a body."""
+def _halves_of_axis(ends: Array3, body: int) -> tuple[Three, Three]:
+    """Return the middle of the axis of a body, and half of the way along it."""
     ux = 0.5 * (ends[body, 1, 0] - ends[body, 0, 0])
     uy = 0.5 * (ends[body, 1, 1] - ends[body, 0, 1])
     uz = 0.5 * (ends[body, 1, 2] - ends[body, 0, 2])
-    reach = np.sqrt(ux * ux + uy * uy + uz * uz) + radii[body]
-    return ends[body, 0, 0] + ux, ends[body, 0, 1] + uy, ends[body, 0, 2] + uz, reach
+    middle = (ends[body, 0, 0] + ux, ends[body, 0, 1] + uy, ends[body, 0, 2] + uz)
+    return middle, (ux, uy, uz)
 
 
 @inlined
 def pair_bound(ends: Array3, pairs: Pairs, pair: int) -> float:
-    """Return a lower bound of a distance, from spheres around bodies."""
+    """Return a lower bound of a distance: of axes from boxes, and of spheres around bodies from the rest."""
+    body = pairs.first[pair]
     other = pairs.second[pair] - len(ends)
-    x, y, z, reach = _body_sphere(ends, pairs.radii, pairs.first[pair])
+    middle, way = _halves_of_axis(ends, body)
     if other >= 0:
-        return _point_distance(pairs, other, x, y, z) - reach
-    gx, gy, gz, further = _body_sphere(ends, pairs.radii, other + len(ends))
-    return np.sqrt((gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2) - reach - further
+        return _axis_bound(pairs, other, middle, way) - pairs.radii[body]
+    x, y, z = middle
+    wx, wy, wz = way
+    further, on = _halves_of_axis(ends, other + len(ends))
+    gx, gy, gz = further
+    ux, uy, uz = on
+    reach = np.sqrt(wx * wx + wy * wy + wz * wz) + np.sqrt(ux * ux + uy * uy + uz * uz)
+    reach += pairs.radii[body] + pairs.radii[other + len(ends)]
+    return np.sqrt((gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2) - reach
 
 
 @compiled

@@ -4,6 +4,10 @@ A motion is evaluated at its midpoint: the distance of a pair there, minus the m
 either end, bounds the distance on the whole motion. If that is not decisive, both halves are examined for the
 remaining pairs (conservative advancement by bisection).
 
+A convex obstacle lies behind the plane through its nearest point, across the shortest way from it: a body
+is no nearer to it than to that plane. Only motion towards the plane counts, and a body that slides along a
+wall or through a hole needs few halvings.
+
 A body moves by at most its speed at the midpoint times half the duration, plus half the square of that times
 a bound of its acceleration. Speeds and accelerations are propagated from joint to joint: the link after joint
 j turns at w = sum of a_i dq_i, whose rate of change is at most the sum of |w_{i-1}| |dq_i|, and the far end
@@ -14,8 +18,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import BLOCK, OTHERWISE, SLIDES, Array1, Array2, Array3, Ints1, Joints, Pairs
+from pinposture.kernels.arrays import (
+    BLOCK,
+    INSIDE,
+    OTHERWISE,
+    PIECE,
+    SLIDES,
+    Array1,
+    Array2,
+    Array3,
+    Ints1,
+    Joints,
+    Pairs,
+)
 from pinposture.kernels.collision import (
+    Contact,
     bound_blocks,
     frame_axis,
     group_bound,
@@ -27,6 +44,13 @@ from pinposture.kernels.collision import (
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 MAX_DEPTH = 60  # maximum number of halvings of a motion
+
+MANY_PAIRS = 100
+"""Number of remaining pairs above which both halves of a motion are examined anew, by groups."""
+
+MEASURED_SHARE = 0.5
+"""Room of a pair by bounding shapes, relative to its motion, from which on the pair is measured. Those with
+less wait for the halves of the motion. Half or twice of both numbers hardly matters (`distances.md`)."""
 
 Arm = tuple[Joints, Ints1, Array3]
 """The joints, the frame that carries each body, and the ends of the axes of the bodies in it."""
@@ -88,6 +112,7 @@ def smallest_distance_on_motions(
     stack = np.empty(1024, dtype=np.int64)
     begins = np.zeros(MAX_DEPTH + 2, dtype=np.int64)
     right = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
+    crowded = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
     best = np.inf
     best_pair = -1
     opened = 0
@@ -111,14 +136,17 @@ def smallest_distance_on_motions(
                 here[i] = drifts[piece, i] + middle * drift[i]
             _place_bodies(arm, at, others, here, placed)
             _bound_motions(arm, placed, move, drift, half, bounds)
-            if depth == 0:
+            anew = depth == 0 or crowded[depth - 1]
+            if anew:
                 bound_blocks(ends, pairs, blocks)
                 _bound_block_motions(bounds[1], bounds[2])
             first = begins[depth]
             last = begins[depth]
-            groups = len(pairs.groups) if depth == 0 else 1
+            groups = len(pairs.groups) if anew else 1
             for group in range(groups):
-                if depth == 0:
+                if anew and last - first > MANY_PAIRS:  # most of them soon drop out again, by groups
+                    break
+                if anew:
                     begin = pairs.starts[group]
                     stop = pairs.starts[group + 1]
                     reach = bounds[2][pairs.groups[group, 0]]
@@ -130,23 +158,29 @@ def smallest_distance_on_motions(
                     begin = begins[depth - 1]
                     stop = begins[depth]
                 for entry in range(begin, stop):
-                    pair = entry if depth == 0 else stack[entry]
+                    pair = entry if anew else stack[entry]
                     # The ends of a motion must be exact: remaining pairs are measured there.
                     aim = min(below, best) - (tolerance if depth > 0 else 0.0)
                     moved = bounds[1][pairs.first[pair]]
                     other = pairs.second[pair]
+                    lower = pair_bound(ends, pairs, pair)
                     if other < bodies:
                         moved += bounds[1][other]
-                        if pair_bound(ends, pairs, pair) - moved < aim:
+                        if lower - moved < aim:
                             near = pairs.first[pair]
                             far = other
                             if carriers[near] > carriers[far]:
                                 near, far = far, near
                             apart = _relative_motion(arm, placed, move, half, far, near)
                             moved = min(moved, apart)
-                    if pair_bound(ends, pairs, pair) - moved >= aim:
+                    if lower - moved >= aim:
                         continue
-                    distance = pair_contact(ends, pairs, pair, aim + moved)[0]
+                    waits = lower >= min(below, best) and lower - aim < MEASURED_SHARE * moved
+                    if waits and pairs.exact[pair]:
+                        stack, last = _push(stack, last, pair)
+                        continue
+                    contact = pair_contact(ends, pairs, pair, aim + moved)
+                    distance = contact[0]
                     if pairs.exact[pair]:
                         if distance < min(below, best):
                             best = distance
@@ -162,17 +196,17 @@ def smallest_distance_on_motions(
                             opened = _leave_open(open_samples, opened, (piece, 1.0, 0.0, pair, 0.0, bound))
                         continue
                     if distance - moved < aim and moved > 0.0:
-                        if last == len(stack):
-                            longer = np.empty(2 * len(stack), dtype=np.int64)
-                            longer[: len(stack)] = stack
-                            stack = longer
-                        stack[last] = pair
-                        last += 1
+                        if _stays_behind(arm, placed, bounds[0], half, pairs, pair, contact, aim):
+                            continue
+                        stack, last = _push(stack, last, pair)
+            crowded[depth] = anew and last - first > MANY_PAIRS
             if depth == 0 and last > 0:
                 end = positions[piece + 1], drifts[piece + 1]
                 _place_bodies(arm, end[0], others, end[1], placed)
-                for entry in range(last):
-                    pair = stack[entry]
+                for entry in range(len(pairs.first) if crowded[0] else last):
+                    pair = entry if crowded[0] else stack[entry]
+                    if pair_bound(ends, pairs, pair) >= min(below, best):
+                        continue
                     distance = pair_contact(ends, pairs, pair, min(below, best))[0]
                     if distance >= min(below, best):
                         continue
@@ -184,6 +218,8 @@ def smallest_distance_on_motions(
                     else:
                         opened = _leave_open(open_samples, opened, (piece, 1.0, 0.0, pair, 0.0, distance))
             if last > first and depth < MAX_DEPTH:  # the first half, for the remaining pairs
+                if crowded[depth]:
+                    last = first
                 depth += 1
                 begins[depth] = last
                 right[depth] = False
@@ -198,6 +234,17 @@ def smallest_distance_on_motions(
             right[depth] = True
             low = low + width
     return best, best_pair, opened
+
+
+@inlined
+def _push(stack: Ints1, count: int, pair: int) -> tuple[Ints1, int]:
+    """Store a pair, in a longer array if there is no room; return the array and the number of pairs."""
+    if count == len(stack):
+        longer = np.empty(2 * count, dtype=np.int64)
+        longer[:count] = stack
+        stack = longer
+    stack[count] = pair
+    return stack, count + 1
 
 
 @subkernel
@@ -307,6 +354,42 @@ def _bound_motions(
             speed = np.sqrt(vx * vx + vy * vy + vz * vz)
             most = max(most, half * speed + 0.5 * half * half * acceleration)
         bounds[1][body] = most
+
+
+@subkernel
+def _stays_behind(
+    arm: Arm,
+    placed: Placed,
+    frames: Array2,
+    half: float,
+    pairs: Pairs,
+    pair: int,
+    contact: Contact,
+    aim: float,
+) -> bool:
+    """Return whether a convex obstacle stays behind a plane at a distance from a body until either end."""
+    _, carriers, _ = arm
+    _, origins, ends = placed
+    distance, px, py, pz, nx, ny, nz = contact
+    body = pairs.first[pair]
+    if pairs.second[pair] < len(carriers) or pairs.kinds[pair] in (PIECE, INSIDE):
+        return False
+    # Depths of overlap may be those along other directions.
+    if aim + pairs.radii[body] + pairs.radii[pairs.second[pair]] <= 0.0 or nx == ny == nz == 0.0:
+        return False
+    own = frames[carriers[body]]
+    origin = origins[carriers[body]]
+    for end in range(2):
+        x, y, z = _difference(ends[body, end], origin)
+        speed = nx * (own[0] + own[4] * z - own[5] * y)
+        speed += ny * (own[1] + own[5] * x - own[3] * z)
+        speed += nz * (own[2] + own[3] * y - own[4] * x)
+        acceleration = own[6] + np.sqrt(x * x + y * y + z * z) * (own[8] + own[7] * own[7])
+        beyond = nx * (ends[body, end, 0] - px) + ny * (ends[body, end, 1] - py)
+        beyond += nz * (ends[body, end, 2] - pz)
+        if distance + beyond - half * (abs(speed) + 0.5 * half * acceleration) < aim:
+            return False
+    return True
 
 
 @subkernel

@@ -91,6 +91,25 @@ def test_the_minimum_between_is_that_of_dense_samples(name, seed, size):
         assert below.distance >= found.distance - 1e-3
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_minimum_among_many_obstacles_is_that_of_dense_samples(seed):
+    """More pairs than are followed one by one; the arm also slides along walls."""
+    arm = spatial()
+    rng = np.random.default_rng(seed)
+    crowd = {
+        f"box {k}": Box(
+            arm.length * rng.uniform(-0.9, 0.9, 3), arm.length * rng.uniform(0.005, 0.05 + 0.5 * (k < 3), 3)
+        )
+        for k in range(120)
+    }
+    clearance = CollisionModel(arm, Scene(crowd, self_collision=False))
+    q = arm.checked(pp.arm.smooth_configuration(arm, rng, 0.8))
+    dq = 0.05 * (1 + seed) * rng.normal(size=arm.nv) * arm.joint_units
+    dense = clearance.minimum_along(q, np.linspace(0.0, 1.0, 1001)[:, None] * dq).distance
+    found = clearance.minimum_between(q, dq).distance
+    assert dense - 2e-3 * arm.length <= found <= dense + MOTION_TOLERANCE * arm.length
+
+
 def test_the_minimum_between_sees_obstacles_move():
     arm = spatial()
     speed = np.array([0.0, 0.0, -0.5])
