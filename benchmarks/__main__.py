@@ -40,6 +40,7 @@ SCRIPTS = (
     "retreat",
     "ros2",
     "scan_obstacles",
+    "shape",
     "soak",
     "steering",
     "switching",

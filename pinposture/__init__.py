@@ -60,7 +60,17 @@ if TYPE_CHECKING:
     from pinposture.control.reach import ReachedPosture, reach
     from pinposture.curve import Curve
     from pinposture.errors import PostureError, PostureWarning
-    from pinposture.motion import Batch, JointTrajectory, Log, Run, Tracker, Trajectory, load, save
+    from pinposture.motion import (
+        Batch,
+        JointTrajectory,
+        Log,
+        Run,
+        ShapeEstimator,
+        Tracker,
+        Trajectory,
+        load,
+        save,
+    )
     from pinposture.motion.identification import identify
     from pinposture.motion.touch import Touch
     from pinposture.motion.track import track
@@ -126,6 +136,7 @@ __all__ = [
     "Scan",
     "Scene",
     "Selection",
+    "ShapeEstimator",
     "Sphere",
     "Steering",
     "Step",
@@ -217,6 +228,7 @@ _PACKAGES = {
         "JointTrajectory",
         "Log",
         "Run",
+        "ShapeEstimator",
         "Touch",
         "Tracker",
         "Trajectory",

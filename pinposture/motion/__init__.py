@@ -16,6 +16,7 @@ from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.log import Log
 from pinposture.motion.ros import write_bag, write_goal
 from pinposture.motion.run import Run
+from pinposture.motion.shape_estimator import ShapeEstimator
 from pinposture.motion.touch import Touch
 from pinposture.motion.track import track
 from pinposture.motion.track_many import track_many
@@ -34,6 +35,7 @@ __all__ = [
     "Prediction",
     "Report",
     "Run",
+    "ShapeEstimator",
     "Tendon",
     "Timing",
     "Touch",
