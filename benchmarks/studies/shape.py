@@ -92,7 +92,7 @@ class Reader:
         self.truth = truth
         self.estimator = estimator
         self.rng = np.random.default_rng(seed)
-        self.some = np.arange(1, truth.points.shape[1], 2)
+        self.some = list(range(1, truth.points.shape[1], 2))
 
     def encoders(self, row: int) -> None:
         """Read the encoders of all motors."""
