@@ -53,7 +53,7 @@ class Sensor(NamedTuple):
     likely: float
 
 
-class Fit(NamedTuple):
+class FittedState(NamedTuple):
     """A state to which readings draw the arm.
 
     Attributes:
@@ -99,7 +99,7 @@ class Belief(NamedTuple):
             fit, used = self._without_outliers(sensor, start, used)
         return (self._after(sensor, fit, used) if used.any() else self), used
 
-    def _one_by_one(self, sensor: Sensor, start: Fit) -> tuple[Fit, Chosen]:
+    def _one_by_one(self, sensor: Sensor, start: FittedState) -> tuple[FittedState, Chosen]:
         """Return the state after one reading after the other, and those that were no outliers."""
         belief = self
         used = np.zeros(len(start.near.errors), dtype=np.bool_)
@@ -116,7 +116,7 @@ class Belief(NamedTuple):
         pull = np.linalg.lstsq(self.covariance, moved, rcond=None)[0]
         return self._moved(sensor, pull), used
 
-    def _without_outliers(self, sensor: Sensor, fit: Fit, used: Chosen) -> tuple[Fit, Chosen]:
+    def _without_outliers(self, sensor: Sensor, fit: FittedState, used: Chosen) -> tuple[FittedState, Chosen]:
         """Fit readings; while one is farther off than is likely, leave out the farthest (Baarda, 1968)."""
         used = used.copy()
         while used.any():
@@ -128,19 +128,19 @@ class Belief(NamedTuple):
             used[farthest] = False
         return fit, used
 
-    def _moved(self, sensor: Sensor, pull: Array) -> Fit:
+    def _moved(self, sensor: Sensor, pull: Array) -> FittedState:
         """Return the state to which a pull moves this one."""
         change, given = np.split(self.covariance @ pull, 2)
         state = self.state.moved(change)
         give = self.give + given
-        return Fit(state, give, pull, sensor.near(state, give))
+        return FittedState(state, give, pull, sensor.near(state, give))
 
-    def _cost(self, sensor: Sensor, fit: Fit, used: Chosen) -> float:
+    def _cost(self, sensor: Sensor, fit: FittedState, used: Chosen) -> float:
         """Return minus twice the logarithm of the probability of a state, but for a constant."""
         missed = fit.near.errors[used] / sensor.noise
         return float(fit.pull @ self.covariance @ fit.pull + (missed**2).sum())
 
-    def _fit(self, sensor: Sensor, fit: Fit, used: Chosen) -> Fit:
+    def _fit(self, sensor: Sensor, fit: FittedState, used: Chosen) -> FittedState:
         """Return the most probable state, given some readings, from another on."""
         covariance = self.covariance
         units = np.tile(self.state.arm.joint_units, 2)
@@ -170,7 +170,7 @@ class Belief(NamedTuple):
         factor: tuple[Array, bool] = cho_factor(spread)
         return factor
 
-    def _distances(self, sensor: Sensor, fit: Fit, used: Chosen) -> Array:
+    def _distances(self, sensor: Sensor, fit: FittedState, used: Chosen) -> Array:
         """Return how far each reading is from what the others tell, squared, in standard deviations, (k,).
 
         From its residual at the fit, with the covariance N (H P H^T + N)^-1 N, where N is the noise; for a
@@ -185,7 +185,7 @@ class Belief(NamedTuple):
         distances[used] = np.einsum("kb,kb->k", residuals, np.linalg.solve(own, residuals[..., None])[..., 0])
         return distances
 
-    def _after(self, sensor: Sensor, fit: Fit, used: Chosen) -> Belief:
+    def _after(self, sensor: Sensor, fit: FittedState, used: Chosen) -> Belief:
         """Return what is believed after the readings to which a state is fitted."""
         covariance = self.covariance
         rows = _rows(fit.near, used, len(covariance))
