@@ -1668,17 +1668,32 @@ def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -
     """
     if not (np.isfinite(amplitude) and amplitude >= 0.0):
         raise InvalidValue("amplitude", amplitude, "a finite number >= 0 [rad or m]")
-    along = np.linspace(0.0, 1.0, arm.n_modules)
-    waves = np.zeros((arm.n_modules, max(len(joints) for joints in arm.module_joints)))
-    for place in range(waves.shape[1]):
-        for number in (1, 2, 3):
-            amount = rng.normal() / number
-            waves[:, place] += amount * np.sin(np.pi * number * along + rng.uniform(0, 2 * np.pi))
-    positions = np.zeros(arm.nv)
-    for wave, columns in zip(waves, np.split(arm.columns, arm.module_starts[1:]), strict=True):
-        positions[columns] = wave[: len(columns)]
-    positions *= amplitude / max(float(np.abs(positions).max()), 1e-300)
+    places = max(len(joints) for joints in arm.module_joints)
+    drawn = np.array([(rng.normal(), rng.uniform(0, 2 * np.pi)) for _ in range(3 * places)])
+    sizes, phases = drawn.reshape(1, places, 3, 2).transpose(3, 0, 1, 2)
+    positions = smooth_positions(arm, sizes, phases, np.array([amplitude]))[0]
     return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
+
+
+def smooth_positions(arm: Arm, sizes: Array, phases: Array, amplitudes: Array) -> Array:
+    """Return joint positions that vary smoothly along the arm, (s, nv); see `smooth_configuration`.
+
+    Args:
+        arm: the arm.
+        sizes: those of the three waves, times their numbers, for each joint of a module, (s, k, 3).
+        phases: of the waves, (s, k, 3) [rad].
+        amplitudes: largest joint positions, (s,) [rad or m].
+    """
+    along = np.linspace(0.0, 1.0, arm.n_modules)
+    waves = np.zeros((*sizes.shape[:2], arm.n_modules))
+    for k in range(3):
+        turns = np.pi * (k + 1) * along + phases[:, :, k, None]
+        waves += sizes[:, :, k, None] / (k + 1) * np.sin(turns)
+    positions = np.zeros((len(sizes), arm.nv))
+    for module, columns in enumerate(np.split(arm.columns, arm.module_starts[1:])):
+        positions[:, columns] = waves[:, : len(columns), module]
+    largest = np.abs(positions).max(axis=1, keepdims=True)
+    return np.asarray(positions * (amplitudes[:, None] / np.maximum(largest, 1e-300)))
 
 
 def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Array:

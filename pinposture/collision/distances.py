@@ -18,7 +18,17 @@ from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.kinematics import neutral_placements, read_joints
 from pinposture.arm.weight import find_frame
 from pinposture.collision.solids import Piece, Solid, join_trees
-from pinposture.kernels.arrays import BLOCK, INSIDE, OTHERWISE, PIECE, SEGMENT, Contacts, Pairs
+from pinposture.kernels.arrays import (
+    BLOCK,
+    INSIDE,
+    OTHERWISE,
+    PIECE,
+    SEGMENT,
+    Contacts,
+    Pairs,
+    SearchTrees,
+    TreeSettings,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -557,6 +567,43 @@ class PairDistances:
             samples = _divide_samples(samples[left], distances[left] - aim, search.tolerance, spread)
             spread = 1.0
         return best, pair
+
+    def grow_trees(
+        self,
+        kinematics: TreeKinematics,
+        q: Array,
+        units: Array,
+        trees: SearchTrees,
+        samples: Array,
+        settings: TreeSettings,
+        *,
+        refused: bool,
+    ) -> tuple[int, int]:
+        """Grow the trees of a search; see `CollisionModel.grow_trees`.
+
+        Args:
+            kinematics: kinematics of the model that carries the bodies.
+            q: as in `TreeKinematics.place`.
+            units: joint motion that counts as one, (nv,) [rad or m].
+            trees: both trees.
+            samples: displacements from q, (s, nv) [rad or m].
+            settings: the settings.
+            refused: whether the last edge is not clear.
+        """
+        positions, others = kinematics.positions(q, None)
+        return kernels.grow_trees(
+            kinematics.joints,
+            self._carriers,
+            self._local,
+            self._arrays,
+            others[0],
+            positions[0],
+            units,
+            trees,
+            samples,
+            settings,
+            refused,
+        )
 
     def _open_distances(
         self, kinematics: TreeKinematics, q: Array, offsets: Array, drifts: Array, samples: Array

@@ -28,7 +28,7 @@ from pinposture.collision.scene import USUAL_MARGIN, Scene, split_velocity
 from pinposture.collision.shapes import Sphere
 from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.kernels.arrays import OTHERWISE, Contacts
+from pinposture.kernels.arrays import OTHERWISE, Contacts, SearchTrees, TreeSettings
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -752,6 +752,32 @@ class CollisionModel:
             found = distances.minimum_on_motions(self._kinematics, q0, offsets, drifts, wanted)[0]
             lowest = min(lowest, found)
         return Closest(lowest, None)
+
+    def grow_trees(
+        self,
+        q0: Array,
+        units: Array,
+        trees: SearchTrees,
+        samples: Array,
+        settings: TreeSettings,
+        refused: bool,
+    ) -> tuple[int, int]:
+        """Grow two trees of clear motions in turns until they meet.
+
+        Args:
+            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
+            units: joint motion that counts as one, (nv,) [rad or m].
+            trees: both trees of displacements from q0, updated.
+            samples: displacements towards which they grow, (s, nv) [rad or m].
+            settings: the settings.
+            refused: whether the last edge, which was `OPEN`, is not clear.
+
+        Returns:
+            `ENDED`, `OPEN` or `JOINED` of `kernels.tree_search`, and the number of samples that are used.
+        """
+        return self._distances.grow_trees(
+            self._kinematics, q0, units, trees, samples, settings, refused=refused
+        )
 
     def clear_of_maps(self, q0: Array, offsets: Array, least: float) -> bool:
         """Return whether straight joint motions keep a distance from the maps of the scene.

@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # for checkers and editors
     from pinposture.kernels.rate_of_change import *
     from pinposture.kernels.spline import *
     from pinposture.kernels.target_point import *
+    from pinposture.kernels.tree_search import *
 
 _KERNELS = {
     "bounding_volumes": "build_tree",
@@ -61,6 +62,7 @@ _KERNELS = {
         "spline_coefficients spline_values"
     ),
     "target_point": "next_target_point",
+    "tree_search": "grow_trees",
 }
 """The kernels called by other packages, by module."""
 

@@ -529,6 +529,40 @@ class Pairs(NamedTuple):
     starts: Ints1
 
 
+class SearchTrees(NamedTuple):
+    """Two trees of offsets; see `kernels.tree_search`.
+
+    Attributes:
+        nodes: the nodes, (2, capacity, nv); the first of each is its root.
+        parents: index of the parent of each node, -1 for a root, (2, capacity).
+        counts: number of nodes, (2,).
+        state: how far the search is, (4,).
+    """
+
+    nodes: Array3
+    parents: Ints2
+    counts: Ints1
+    state: Ints1
+
+
+class TreeSettings(NamedTuple):
+    """How trees grow; see `kernels.tree_search`.
+
+    Attributes:
+        step: largest joint motion of an edge, in units.
+        least: the distance to keep on edges [m].
+        tolerance: as for `smallest_distance_on_motions` [m].
+        open_motion: as for `smallest_distance_on_motions` [m].
+        doubtful: whether every edge needs a further check.
+    """
+
+    step: float
+    least: float
+    tolerance: float
+    open_motion: float
+    doubtful: bool
+
+
 class OccupancyGrid(NamedTuple):
     """A cube of cells in n blocks of 8 x 8 x 8 along each edge; see `kernels.occupancy`.
 
@@ -560,6 +594,18 @@ CYLINDER = 3
 PIECE = 4
 INSIDE = 5
 """Kinds of second solids in `Pairs`; the last two are a piece of a tree and the inside of a surface."""
+
+ENDED = 0
+OPEN = 1
+JOINED = 2
+"""Why trees stop growing: samples or room are used up; the new edge needs a further check; they meet."""
+
+TURN = 0
+AT = 1
+MET = 2
+LAST = 3
+"""Entries of the state of `SearchTrees`: the tree that extends; its new node, which the other tree is to
+reach, -1 before it is added; the node there, or -1; the tree of the last edge."""
 
 FULL = 0
 RELATIVE = 1

@@ -9,6 +9,7 @@ the goal posture. Between two compact postures a bidirectional tree search (RRT-
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from math import inf
 from time import perf_counter
@@ -17,17 +18,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import ChainState, smooth_configuration
+from pinposture.arm import ChainState
+from pinposture.arm.arm import smooth_positions
+from pinposture.collision.model import MOTION_TOLERANCE, OPEN_MOTION
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import PlanningProblem, minimize
 from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import JointPath
+from pinposture.kernels.arrays import AT, ENDED, JOINED, LAST, MET, OPEN, TURN, SearchTrees, TreeSettings
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-WITHDRAWAL_STEP = 0.01
+WITHDRAWAL_STEP = 0.02
 NEAR_SHARE = 0.3
-"""Length of a withdrawal step, and of the part of the arm that takes up the slack, in arm lengths. Half
-or twice the step hardly matters; with twice the part, 2 of 20 problems of clutter had no solution."""
+"""Length of a withdrawal step, and of the part of the arm that takes up the slack, in arm lengths. Half the
+step takes longer; with twice the part, 2 of 20 problems of clutter had no solution."""
 
 WITHDRAWAL_ERROR = 0.002
 """Mean distance from the curve at which a withdrawal step is accepted, in arm lengths."""
@@ -41,6 +47,14 @@ JOIN_EVERY = 0.2
 JOIN_NODES = 150
 SEARCH_NODES = 2000
 """Largest number of tree nodes of an attempt to join the ends, and of the last one."""
+
+SAMPLED = 16
+"""Number of samples that are drawn at once."""
+
+TRAPPED_SHARE = 0.125
+PATIENT_TURNS = 16
+"""Share of its turns in which a tree grows, below which its root counts as trapped, which ends an attempt to
+join; and the number of turns of both trees before that."""
 
 TREE_STEP = 0.3
 PIECE_TURN = 0.1
@@ -64,12 +78,17 @@ SHORTCUTS = 60
 """Number of attempted shortcuts."""
 
 
+TREE_SEARCH = "tree search"
+WITHDRAWAL = "withdrawal"
+"""Ways in which paths are found."""
+
+
 class FoundPath(NamedTuple):
     """A clear path.
 
     Attributes:
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m].
-        found_by: "withdrawal" or "tree search".
+        found_by: `WITHDRAWAL` or `TREE_SEARCH`.
     """
 
     offsets: Array
@@ -99,9 +118,17 @@ class PathSearch:
         self.arm = problem.objective.arm
         self.least = least
         self.until = until
-        objective, self._start, edges, self._avoidance = problem
-        self._goal = goal
+        objective, self._start, edges, avoidance = problem
+        assert avoidance is not None
+        self.avoidance = avoidance
+        self.goal = goal
+        self._end = np.asarray(self.arm.difference(self._start.q, goal.q))
         self._rng = np.random.default_rng(seed)
+        size = self.arm.length
+        self._settings = TreeSettings(
+            TREE_STEP, least, MOTION_TOLERANCE * size, OPEN_MOTION * size, avoidance.constrained
+        )
+        self._trapped = np.zeros(2, dtype=np.bool_)
         self._share = min(1.0, FEW_JOINTS / len(objective.columns))
         self._units = self._share * self.arm.joint_units
         self._positions = self.arm.positions(self._start.q)
@@ -112,29 +139,36 @@ class PathSearch:
             np.minimum(np.maximum(highest, 0.0), farthest),
         )
 
-    def find(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
-        """Return a clear path, shortened; None if none was found. `tell` is called with each attempt."""
+    def connect(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
+        """Return a path that a short tree search between the ends finds, as found; None if there is none."""
         tell("tree search")
-        end = np.asarray(self.arm.difference(self._start.q, self._goal.q))
-        joined = self._connect(np.zeros(self.arm.nv), end, JOIN_NODES)
-        found_by = "tree search"
-        if joined is None:
-            joined = self._join_withdrawn(end, tell)
-            found_by = "withdrawal"
-        return None if joined is None else FoundPath(self._shorten(joined), found_by)
+        joined = self._connect(np.zeros(self.arm.nv), self._end, JOIN_NODES)
+        return None if joined is None else FoundPath(joined, TREE_SEARCH)
+
+    def path(self, found: FoundPath) -> JointPath:
+        """Return a path that was found, for the objective of the problem."""
+        path = JointPath(self.problem.objective, self._start.q, found.offsets)
+        return replace(path, found_by=found.found_by)
 
     def is_clear(self, path: Array) -> bool:
         """Whether straight motions between offsets, (N + 1, nv), are clear, given that the first one is."""
-        return self._avoidance is None or self._avoidance.keeps(self._start.q, path, self.least)
+        return self.avoidance.keeps(self._start.q, path, self.least)
+
+    @property
+    def is_trapped(self) -> bool:
+        """Whether the last tree search has found an end trapped."""
+        return bool(self._trapped.any())
 
     # Withdrawal.
 
-    def _join_withdrawn(self, end: Array, tell: Callable[[str], None]) -> Array | None:
-        """Withdraw both ends until they can be joined; return the path, None if that fails."""
-        ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, end)]
+    def withdraw(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
+        """Return a path between ends that are withdrawn until they can be joined; None if that fails."""
+        ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, self._end)]
         nodes = JOIN_NODES
         while perf_counter() < self.until:
-            if not any([each.go_on(JOIN_EVERY) for each in ends]):
+            trapped = [each for each, is_trapped in zip(ends, self._trapped, strict=True) if is_trapped]
+            moved = any([each.go_on(JOIN_EVERY) for each in trapped])
+            if not moved and not any([each.go_on(JOIN_EVERY) for each in ends]):
                 if nodes == SEARCH_NODES:
                     break
                 nodes = SEARCH_NODES  # neither end can withdraw further: search longer
@@ -142,66 +176,59 @@ class PathSearch:
             tell(f"tree search after withdrawing start and goal by {depths} of the arm length")
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)
             if joined is not None:
-                return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
+                whole = np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
+                return FoundPath(whole, WITHDRAWAL)
         return None
 
     # Tree search.
 
     def _connect(self, one: Array, other: Array, nodes: int) -> Array | None:
         """Return offsets from one to the other, (N + 1, nv), by RRT-Connect; None if none were found."""
-        trees = _Tree(one), _Tree(other)
-        for turn in range(nodes):
-            if perf_counter() >= self.until:
-                break
-            from_, to = trees if turn % 2 == 0 else trees[::-1]
-            wanted = other if turn == 0 else self._sample(one, other)
-            at = self._extend(from_, wanted, self._units)
-            if at is None:
-                continue
-            there = from_.offsets[at]
-            reached = None
-            while True:  # as far as possible
-                reached = self._extend(to, there, self._units)
-                if reached is None or np.array_equal(to.offsets[reached], there):
-                    break
-            if reached is not None:
-                parts = [from_.branch(at), to.branch(reached)]
-                first, second = parts if turn % 2 == 0 else parts[::-1]
-                return np.concatenate([first, second[::-1][1:]])
-            if trees[0].count + trees[1].count > nodes:
-                break
+        trees = _new_trees(one, other, nodes)
+        model = self.avoidance.clearance
+        samples = other[None]
+        refused = False
+        turns = 0
+        while perf_counter() < self.until:
+            outcome, used = model.grow_trees(self._start.q, self._units, trees, samples, self._settings, refused)
+            turns += used
+            samples = samples[used:]
+            if outcome == ENDED:
+                self._trapped = trees.counts - 1 < TRAPPED_SHARE * 0.5 * turns
+                hopeless = turns >= PATIENT_TURNS and nodes == JOIN_NODES and self._trapped.any()
+                if hopeless or len(samples) or turns >= nodes:
+                    return None
+                samples = self._samples(one, other, min(SAMPLED, nodes - turns))
+            refused = outcome == OPEN and not self.is_clear(_last_edge(trees))
+            if outcome == JOINED:
+                return _joined(trees)
         return None
 
-    def _extend(self, tree: _Tree, wanted: Array, units: Array) -> int | None:
-        """Add a node one step towards an offset; return its index, or None if the step is not clear."""
-        near = tree.nearest(wanted, units)
-        change = wanted - tree.offsets[near]
-        size = float(np.abs(change / units).max())
-        if size == 0.0:
-            return near
-        reached = wanted if size <= TREE_STEP else tree.offsets[near] + change * (TREE_STEP / size)
-        return tree.add(reached, near) if self.is_clear(np.array([tree.offsets[near], reached])) else None
-
-    def _sample(self, one: Array, other: Array) -> Array:
-        """Return a random offset: uniform, of a smooth posture, or near the line between two offsets."""
+    def _samples(self, one: Array, other: Array, count: int) -> Array:
+        """Return random offsets, (count, nv): uniform, of smooth postures, or near the line between two."""
         arm = self.arm
         rng = self._rng
-        kind = rng.random()
-        if kind < UNIFORM_SHARE:
-            return np.asarray(rng.uniform(*self._sides))
-        if kind < 0.5 * (1.0 + UNIFORM_SHARE):
-            q = smooth_configuration(arm, rng, self._share * float(rng.uniform(0.1, MAX_AMPLITUDE)))
-            offset = np.asarray(arm.difference(self._start.q, q))
-        else:
-            offset = one + rng.uniform(-0.2, 1.2) * (other - one)
-            offset = offset + self._share * NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
-        return np.asarray(np.clip(offset, *self._sides))
+        kinds = rng.random(count)
+        found = rng.uniform(*self._sides, size=(count, arm.nv))
+        is_smooth = (kinds >= UNIFORM_SHARE) & (kinds < 0.5 * (1.0 + UNIFORM_SHARE))
+        smooth = int(is_smooth.sum())
+        places = max(len(joints) for joints in arm.module_joints)
+        sizes = rng.normal(size=(smooth, places, 3))
+        phases = rng.uniform(0.0, 2.0 * np.pi, sizes.shape)
+        amplitudes = self._share * rng.uniform(0.1, MAX_AMPLITUDE, smooth)
+        found[is_smooth] = smooth_positions(arm, sizes, phases, amplitudes) - self._positions
+        is_near = kinds >= 0.5 * (1.0 + UNIFORM_SHARE)
+        near = int(is_near.sum())
+        places_between = rng.uniform(-0.2, 1.2, (near, 1))
+        noise = self._share * NOISE * rng.normal(size=(near, arm.nv)) * arm.joint_units * arm.moved
+        found[is_near] = one + places_between * (other - one) + noise
+        return np.asarray(np.clip(found, *self._sides))
 
     # Shortcuts.
 
-    def _shorten(self, offsets: Array) -> Array:
+    def shorten(self, found: FoundPath) -> FoundPath:
         """Straighten parts of a path where that is clear and shorter, for all or some consecutive joints."""
-        path = divide(offsets, self._units)
+        path = divide(found.offsets, self._units)
         columns = self.problem.objective.columns
         for number in range(SHORTCUTS):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
@@ -217,55 +244,46 @@ class PathSearch:
                 straight = before.copy()
                 straight[:, some] = whole[:, some]
             if self._length(straight) < 0.999 * self._length(before) and self.is_clear(straight):
-                path = np.concatenate([path[:i], divide(straight, self._units), path[j + 1 :]])
-        return path
+                path = np.concatenate([path[:i], self._divide(straight), path[j + 1 :]])
+        return FoundPath(path, found.found_by)
 
     def _length(self, path: Array) -> float:
         return float(self.problem.objective.measure_pieces(self._positions, path).sum())
 
 
-def divide(path: Array, units: Array) -> Array:
-    """Return a path, (N + 1, nv), with pieces longer than `PIECE_TURN` in units of motion (nv,) divided."""
-    parts = [path[:1]]
-    for start, end in pairwise(path):
-        size = float(np.abs((end - start) / units).max())
-        count = max(int(np.ceil(size / PIECE_TURN)), 1)
-        parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
-    return np.concatenate(parts)
+def _new_trees(one: Array, other: Array, nodes: int) -> SearchTrees:
+    """Return trees of two roots with room for a number of nodes in all."""
+    trees = SearchTrees(
+        nodes=np.empty((2, nodes + 2, len(one))),
+        parents=np.full((2, nodes + 2), -1, dtype=np.int64),
+        counts=np.ones(2, dtype=np.int64),
+        state=np.array([0, -1, -1, 0], dtype=np.int64),
+    )
+    trees.nodes[:, 0] = one, other
+    return trees
 
 
-class _Tree:
-    """Nodes of a tree of offsets, and their parents.
+def _last_edge(trees: SearchTrees) -> Array:
+    """Return the offsets at the ends of the last edge, (2, nv)."""
+    tree = trees.state[LAST]
+    node = trees.counts[tree] - 1
+    return np.asarray(trees.nodes[tree, [trees.parents[tree, node], node]])
 
-    Attributes:
-        offsets: the nodes, the first `count` rows, (capacity, nv).
-        count: number of nodes.
-    """
 
-    def __init__(self, root: Array) -> None:
-        self.offsets = np.array([root] * 64)
-        self._parents = [-1]
-        self.count = 1
+def _joined(trees: SearchTrees) -> Array:
+    """Return the offsets from the first root to the second, (N + 1, nv), of trees that have met."""
+    turn = trees.state[TURN]
+    first, second = trees.state[[AT, MET] if turn == 0 else [MET, AT]]
+    return np.concatenate([_branch(trees, 0, first)[::-1], _branch(trees, 1, second)[1:]])
 
-    def nearest(self, offset: Array, units: Array) -> int:
-        apart = (self.offsets[: self.count] - offset) / units
-        return int(np.einsum("ij,ij->i", apart, apart).argmin())
 
-    def add(self, offset: Array, parent: int) -> int:
-        if self.count == len(self.offsets):
-            self.offsets = np.concatenate([self.offsets, np.empty_like(self.offsets)])
-        self.offsets[self.count] = offset
-        self._parents.append(parent)
-        self.count += 1
-        return self.count - 1
-
-    def branch(self, node: int) -> Array:
-        """Return the offsets from the root to a node."""
-        path = []
-        while node >= 0:
-            path.append(self.offsets[node])
-            node = self._parents[node]
-        return np.array(path[::-1])
+def _branch(trees: SearchTrees, tree: int, node: int) -> Array:
+    """Return the offsets from a node to the root."""
+    path = []
+    while node >= 0:
+        path.append(trees.nodes[tree, node])
+        node = int(trees.parents[tree, node])
+    return np.array(path)
 
 
 class _Withdrawal:
@@ -318,19 +336,19 @@ class _Withdrawal:
             self._over = True
             return False
         points = np.column_stack([np.interp(places, self._places, axis) for axis in self._curve.T])
-        problem = search.problem
-        objective = Objective(
-            arm, Target.from_points(arm, points, weights), constraints=problem.objective.constraints
-        )
-        avoidance = problem.avoidance
-        if avoidance is not None:
-            avoidance = avoidance.for_objective(objective)
-        good = WITHDRAWAL_ERROR * arm.length
-        found = minimize(problem._replace(objective=objective, avoidance=avoidance), self._state, good)
+        target = Target.from_points(arm, points, weights)
+        objective = Objective(arm, target, constraints=search.problem.objective.constraints)
+        return self._fit(objective, None) or self._fit(objective, search.avoidance.for_objective(objective))
+
+    def _fit(self, objective: Objective, avoidance: Avoidance | None) -> bool:
+        """Move to the points of an objective, if that is clear; return whether it was."""
+        search = self._search
+        good = WITHDRAWAL_ERROR * search.arm.length
+        problem = search.problem._replace(objective=objective, avoidance=avoidance)
+        found = minimize(problem, self._state, good)
         if found.mean_error > good:
             return False
-        change = np.asarray(arm.difference(self._state.q, found.state.q))
-        offset = self.offsets[-1] + change
+        offset = self.offsets[-1] + search.arm.difference(self._state.q, found.state.q)
         if not search.is_clear(np.array([self.offsets[-1], offset])):
             return False
         self.offsets.append(offset)

@@ -34,7 +34,7 @@ from pinposture.control.planner.objective import (
     check_objective,
 )
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.path_search import PathSearch
+from pinposture.control.planner.path_search import TREE_SEARCH, FoundPath, PathSearch
 from pinposture.control.planner.trajectory_optimization import Penalties, TaskRows, direct_path, relax_path
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
@@ -453,72 +453,129 @@ def _clearest_path(
 ) -> JointPath:
     """Return a direct clear path; if none is found, the one with the largest clearance.
 
-    Among those that are clear, it is the one with the most pieces within the constraints.
+    Among those that are not clear, it is the one with the most pieces within the constraints.
 
-    The candidates are, in this order: the most direct path; two paths relaxed among the obstacles from
-    different initial guesses; one found by search and then relaxed; further relaxed paths. The first clear
-    one is returned; if it is long, the shorter of it and the searched one.
+    The candidates are those of `_Candidates`. The first clear one is returned; if it is long, the shorter of
+    it and the others.
     """
     objective, state, edges, avoidance = problem
-    start = state.q
-
-    def relaxed(variant: int) -> JointPath:
-        root = CLEARANCE_ROOTS[variant % len(CLEARANCE_ROOTS)]
-        penalties = Penalties(tasks, avoidance, root, possible, until)
-        return direct_path(objective, start, goal.q, edges, penalties, variant)
-
     tasks = _task_rows(objective, state, goal)
     if avoidance is None:
         penalties = None if tasks is None else Penalties(tasks)
-        return direct_path(objective, start, goal.q, edges, penalties, attempt)
+        return direct_path(objective, state.q, goal.q, edges, penalties, attempt)
     possible = _possible_clearance(avoidance, state, goal)
-    avoidance = avoidance.tolerating(state, goal)
-    most_direct = direct_path(objective, start, goal.q, edges)
-    short = MAX_DETOUR * most_direct.length
-    clear: list[JointPath] = []
-    hindered: list[tuple[tuple[float, float], JointPath]] = []
-
-    def tell(trying: str) -> None:
-        if report is not None:
-            report(trying, min(clear, key=lambda path: path.length, default=None))
-
-    def candidates() -> Iterator[JointPath]:
-        first = 2 * attempt
-        more = MAX_PATHS // (1 + attempt)
-        if attempt == 0 and not objective.tasks:
-            yield most_direct
-        for k in range(more):
-            if k == 1:
-                tolerant = problem._replace(avoidance=avoidance)
-                search = PathSearch(tolerant, goal, possible, attempt, until)
-                yield from _searched(search, tasks, tell)
-            if not clear:
-                tell(f"relaxation {k + 1} of {more}")
-                yield relaxed(first + k)
-
+    tolerant = problem._replace(avoidance=avoidance.tolerating(state, goal))
+    tried = _Candidates(PathSearch(tolerant, goal, possible, attempt, until), tasks, report)
     try:
-        for path in candidates():
-            closest = _closest_on(path, avoidance, possible)
-            kept = avoidance.keeps_constraints(start, path.offsets)
-            if closest.distance >= possible and kept.all():
-                clear.append(path)
-                if objective.tasks or path.length <= short:  # the search would disregard the tasks
-                    return path
-            else:
-                rank = min(closest.distance, possible), float(kept.mean())
-                hindered.append((rank, _hindered(path, closest, avoidance)))
+        for path in tried.find(attempt):
+            if tried.judge(path) and (objective.tasks or path.length <= tried.short):
+                return path
             if perf_counter() >= until:
                 break
     except KeyboardInterrupt:
         if report is None:
             raise
         logger.warning("planning was interrupted; the best path so far is returned")
-        if not clear and not hindered:
-            closest = _closest_on(most_direct, avoidance, possible)
-            hindered.append(((0.0, 0.0), _hindered(most_direct, closest, avoidance)))
-    if clear:
-        return min(clear, key=lambda path: path.length)
-    return max(hindered, key=lambda each: each[0])[1]
+    return tried.best()
+
+
+class _Candidates:
+    """The paths among which a clear one is sought, and those that were.
+
+    Attributes:
+        short: length up to which a clear path is good enough.
+    """
+
+    def __init__(self, search: PathSearch, tasks: TaskRows | None, report: Report | None) -> None:
+        self._search = search
+        self._tasks = tasks
+        self._report = report
+        objective, state, edges, _ = search.problem
+        self._most_direct = direct_path(objective, state.q, search.goal.q, edges)
+        self.short = MAX_DETOUR * self._most_direct.length
+        self._clear: list[JointPath] = []
+        self._hindered: list[tuple[tuple[float, float], JointPath]] = []
+
+    def find(self, attempt: int) -> Iterator[JointPath]:
+        """Find candidates, in this order, as long as none is good enough.
+
+        The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
+        none is clear, further relaxed paths. The tree search comes before the relaxation, and tells what it
+        finds at once; if it finds an end trapped, the withdrawal does so as well. With tasks, which it would
+        disregard, the search comes after the relaxation.
+        """
+        search = self._search
+        variant = 2 * attempt
+        count = MAX_PATHS // (1 + attempt)
+        found = None
+        if self._tasks is None:
+            if attempt == 0:
+                yield self._most_direct
+            found = search.connect(self._tell)
+            if found is None and search.is_trapped:
+                found = search.withdraw(self._tell)
+        if found is not None:
+            self.judge(search.path(found))
+        if found is None or found.found_by == TREE_SEARCH:
+            yield self._relax(0, variant, count)
+        if found is None:
+            found = search.withdraw(self._tell)
+        if found is not None:
+            yield from self._relax_found(found)
+        for k in range(1, count):
+            if not self._clear:
+                yield self._relax(k, variant, count)
+
+    def judge(self, path: JointPath) -> bool:
+        """Keep a path; return whether it is clear."""
+        least = self._search.least
+        avoidance = self._search.avoidance
+        closest = _closest_on(path, avoidance, least)
+        kept = avoidance.keeps_constraints(path.start, path.offsets)
+        if closest.distance >= least and kept.all():
+            self._clear.append(path)
+            return True
+        rank = min(closest.distance, least), float(kept.mean())
+        self._hindered.append((rank, _hindered(path, closest, avoidance)))
+        return False
+
+    def best(self) -> JointPath:
+        """Return the shortest clear path; if there is none, the one with the largest clearance."""
+        if self._clear:
+            return min(self._clear, key=lambda path: path.length)
+        if not self._hindered and self.judge(self._most_direct):
+            return self._most_direct
+        return max(self._hindered, key=lambda each: each[0])[1]
+
+    def _tell(self, trying: str) -> None:
+        if self._report is not None:
+            self._report(trying, min(self._clear, key=lambda path: path.length, default=None))
+
+    def _penalties(self, root: float) -> Penalties:
+        search = self._search
+        return Penalties(self._tasks, search.avoidance, root, search.least, search.until)
+
+    def _relax(self, k: int, variant: int, count: int) -> JointPath:
+        """Return a path relaxed among the obstacles, the k-th of an attempt."""
+        self._tell(f"relaxation {k + 1} of {count}")
+        objective, start, edges, _ = self._search.problem
+        penalties = self._penalties(CLEARANCE_ROOTS[(variant + k) % len(CLEARANCE_ROOTS)])
+        return direct_path(objective, start.q, self._search.goal.q, edges, penalties, variant + k)
+
+    def _relax_found(self, found: FoundPath) -> Iterator[JointPath]:
+        """Yield a path that was found, shortened and relaxed, and as shortened."""
+        search = self._search
+        found = search.shorten(found)
+        raw = search.path(found)
+        objective, start, edges, _ = search.problem
+        self._tell(f"relaxation of a path found by {found.found_by}")
+        try:
+            relaxed = relax_path(objective, start.q, found.offsets, edges, self._penalties(SEARCHED_ROOT))
+        except KeyboardInterrupt:
+            self.judge(raw)
+            raise
+        yield from (replace(path, found_by=found.found_by) for path in relaxed)
+        yield raw
 
 
 def _possible_clearance(avoidance: Avoidance, state: ChainState, goal: ChainState) -> float:
@@ -532,24 +589,6 @@ def _hindered(path: JointPath, closest: Closest, avoidance: Avoidance) -> JointP
     words = [] if closest.pair is None else [describe_distance(closest.pair, closest.distance)]
     words += avoidance.describe_worst_on(path.start, path.offsets)
     return replace(path, blocked_by=f"no clear path was found; on the best one, {'; '.join(words)}")
-
-
-def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], None]) -> Iterator[JointPath]:
-    """Search for a clear path; yield it relaxed, then as found."""
-    found = search.find(tell)
-    if found is None:
-        return
-    objective, start, edges, avoidance = search.problem
-    raw = replace(JointPath(objective, start.q, found.offsets), found_by=found.found_by)
-    penalties = Penalties(tasks, avoidance, SEARCHED_ROOT, search.least, search.until)
-    tell(f"relaxation of a path found by {found.found_by}")
-    try:
-        relaxed = relax_path(objective, start.q, found.offsets, edges, penalties)
-    except KeyboardInterrupt:
-        yield raw
-        raise
-    yield from (replace(path, found_by=found.found_by) for path in relaxed)
-    yield raw
 
 
 def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> TaskRows | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import warnings
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +18,7 @@ from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import PlanningProblem
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.path_search import PathSearch
+from pinposture.control.planner.path_search import FoundPath, PathSearch
 from pinposture.control.planner.trajectory_optimization import Penalties, relax_path
 
 MARGIN = 0.005
@@ -72,12 +73,25 @@ def smallest_distance(scene: pp.Scene, q: np.ndarray) -> float:
     return least
 
 
-def search(scene: pp.Scene, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> PathSearch:
+def search(
+    scene: pp.Scene,
+    start: np.ndarray,
+    goal: np.ndarray,
+    seed: int = 0,
+    constraints: Sequence[pp.control.Constraint] = (),
+) -> PathSearch:
     bounds = pp.Limits().for_arm(arm())
-    objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
+    objective = Objective(arm(), pp.Target.from_configuration(arm(), goal), constraints=tuple(constraints))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
     problem = PlanningProblem(objective, arm().chain_at(start), bounds.edges, avoidance)
     return PathSearch(problem, arm().chain_at(goal), MARGIN, seed)
+
+
+def find(given: PathSearch) -> FoundPath:
+    """A path by tree search or withdrawal, shortened."""
+    found = given.connect() or given.withdraw()
+    assert found is not None
+    return given.shorten(found)
 
 
 @pytest.mark.long
@@ -108,8 +122,8 @@ def test_a_run_through_a_hole_keeps_margin_and_limits() -> None:
 @pytest.mark.parametrize("seed", seeds(2))
 def test_the_search_is_the_same_for_the_same_seed(seed: int) -> None:
     scene, start, goal = through_a_hole(3)
-    first, second = (search(scene, start, goal, seed).find() for _ in range(2))
-    assert first is not None and second is not None and first.found_by == second.found_by == "withdrawal"
+    first, second = (find(search(scene, start, goal, seed)) for _ in range(2))
+    assert first.found_by == second.found_by == "withdrawal"
     np.testing.assert_array_equal(first.offsets, second.offsets)
 
 
@@ -136,8 +150,7 @@ def test_where_there_is_no_path_the_plan_says_what_is_in_the_way() -> None:
 @pytest.mark.parametrize("seed", cases(range(6), 2))
 def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None:
     scene, start, goal = through_a_hole(seed)
-    found = search(scene, start, goal, seed).find()
-    assert found is not None
+    found = find(search(scene, start, goal, seed))
     bounds = pp.Limits().for_arm(arm())
     state = arm().chain_at(start)
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
@@ -150,10 +163,9 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
 
 def test_in_the_open_it_is_one_straight_motion() -> None:
     goal = np.full(40, 0.05)
-    found = search(
-        pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}, self_collision=False), np.zeros(40), goal
-    ).find()
-    assert found is not None and found.found_by == "tree search"
+    scene = pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}, self_collision=False)
+    found = find(search(scene, np.zeros(40), goal))
+    assert found.found_by == "tree search"
     middle = found.offsets / np.linalg.norm(goal)
     np.testing.assert_allclose(middle, (middle @ middle[-1])[:, None] * middle[-1], atol=1e-12)
 
@@ -179,8 +191,11 @@ def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
 
     whole = pp.plan(arm().at(start), target, scene, progress=note)
     assert not whole.blocked_by
-    assert [each for each, *_ in told][:2] == ["relaxation 1 of 12", "tree search"]
+    assert told[0][0] == "tree search"
     assert any("withdrawing start and goal by" in each for each, *_ in told)
+    _, _, first = next(each for each in told if each[0].startswith("relaxation of a path found"))
+    assert first is not None and not first.blocked_by and first.length > whole.length
+    assert smallest_distance(scene, first.configurations) > MARGIN - 1e-3
     times = [each for _, each, _ in told]
     assert times == sorted(times)
 
@@ -217,3 +232,30 @@ def test_in_a_control_loop_an_interruption_is_passed_on() -> None:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+class FirstJointWithin:
+    """A constraint that the compiled search does not know: the first joint stays within an angle of zero."""
+
+    def __init__(self, angle: float) -> None:
+        self.angle = angle
+
+    def rows(self, state: pp.ArmState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        matrix = np.zeros((1, state.arm.nv))
+        matrix[0, 0] = state.arm.length
+        place = state.arm.length * state.q[:1]
+        return matrix, -state.arm.length * self.angle - place, state.arm.length * self.angle - place
+
+
+@pytest.mark.long
+def test_edges_that_a_constraint_refuses_are_taken_back() -> None:
+    scene = pp.Scene({"ball": pp.Sphere((0.7, 0.0, 0.0), 0.08)}, self_collision=False, margin=MARGIN)
+    bend = np.zeros(40)
+    bend[1::2] = 0.06
+    free = find(search(scene, -bend, bend))
+    most = 0.5 * np.abs(free.offsets[:, 0]).max()
+    assert most > 0.01
+    kept = find(search(scene, -bend, bend, constraints=[FirstJointWithin(most)]))
+    assert np.abs(kept.offsets[:, 0]).max() <= most + 1e-6
+    np.testing.assert_allclose(kept.offsets[-1], 2.0 * bend, atol=1e-12)
+    assert smallest_distance(scene, kept.offsets - bend) > MARGIN - 1e-3
