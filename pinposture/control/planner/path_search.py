@@ -190,7 +190,9 @@ class PathSearch:
         refused = False
         turns = 0
         while perf_counter() < self.until:
-            outcome, used = model.grow_trees(self._start.q, self._units, trees, samples, self._settings, refused)
+            outcome, used = model.grow_trees(
+                self._start.q, self._units, trees, samples, self._settings, refused
+            )
             turns += used
             samples = samples[used:]
             if outcome == ENDED:
@@ -244,11 +246,21 @@ class PathSearch:
                 straight = before.copy()
                 straight[:, some] = whole[:, some]
             if self._length(straight) < 0.999 * self._length(before) and self.is_clear(straight):
-                path = np.concatenate([path[:i], self._divide(straight), path[j + 1 :]])
+                path = np.concatenate([path[:i], divide(straight, self._units), path[j + 1 :]])
         return FoundPath(path, found.found_by)
 
     def _length(self, path: Array) -> float:
         return float(self.problem.objective.measure_pieces(self._positions, path).sum())
+
+
+def divide(path: Array, units: Array) -> Array:
+    """Return a path, (N + 1, nv), with pieces longer than `PIECE_TURN` in units of motion (nv,) divided."""
+    parts = [path[:1]]
+    for start, end in pairwise(path):
+        size = float(np.abs((end - start) / units).max())
+        count = max(int(np.ceil(size / PIECE_TURN)), 1)
+        parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
+    return np.concatenate(parts)
 
 
 def _new_trees(one: Array, other: Array, nodes: int) -> SearchTrees:
