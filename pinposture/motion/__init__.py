@@ -3,6 +3,7 @@
 from pinposture.motion.actuators import Actuators, Tendon
 from pinposture.motion.batch import Batch
 from pinposture.motion.drive_response import DriveModel
+from pinposture.motion.feedback import JointFailure
 from pinposture.motion.files import load, save
 from pinposture.motion.identification import (
     DriveEstimate,
@@ -30,6 +31,7 @@ __all__ = [
     "DriveModel",
     "Estimate",
     "Identification",
+    "JointFailure",
     "JointTrajectory",
     "Log",
     "Prediction",

@@ -120,6 +120,26 @@ def counts_turns(arm: Arm, given: ArrayLike) -> bool:
     return arm.nv != arm.nq and isinstance(given, Sized) and np.ndim(given) == 1 and len(given) == arm.nv
 
 
+class JointFailure(NamedTuple):
+    """A joint that does not do what it is commanded.
+
+    Attributes:
+        joint: its name in `Arm.joint_names`.
+        kind: "stuck": it stands although its command has moved on. "astray": it is farther from its command
+            than its drive could be, as one that is limp or weak and falls, or that something pushes.
+        position: where it is measured [rad or m].
+        duration: for how long that has been so without interruption [s].
+    """
+
+    joint: str
+    kind: str
+    position: float
+    duration: float
+
+    def __str__(self) -> str:
+        return f"{self.joint} is {self.kind} at {self.position:.4g} for {self.duration:.3g} s"
+
+
 class FeedbackState(NamedTuple):
     """Result of the feedback of one cycle.
 
@@ -131,12 +151,14 @@ class FeedbackState(NamedTuple):
             of up to `LONGEST_LAG`, would be, in `Arm.joint_units`; None without a usable measurement.
         held: where to hold: the command, with joints that do not follow it back at their measurements. None:
             the arm brakes and holds.
+        failures: joints that do not do what they are commanded, from base to tip.
     """
 
     state: ArmState | None
     reason: str
     tracking_error: float | None
     held: Target | None = None
+    failures: tuple[JointFailure, ...] = ()
 
 
 class Feedback:
@@ -210,6 +232,7 @@ class Feedback:
         self.response = DriveResponse(arm, lead, time_constant > 0.0)
         self._patience = resync_time
         self._deviating: Array | None = None
+        self._failing: dict[tuple[int, str], float] = {}
         self._agreed_for = 0.0
         self._at_rest = True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
@@ -298,7 +321,9 @@ class Feedback:
             far = self._describe(joint, largest * arm.joint_units[joint])
             most = self._describe(joint, self._max_difference * arm.joint_units[joint])
             reason = f"joint {arm.drives.names[joint]!r} is {far} from its expected position"
-            return FeedbackState(self.state, f"{reason}; at most {most} is fed back", largest)
+            failures = self._failures("astray", excess > self._max_difference, positions, dt)
+            reason = f"{reason}; at most {most} is fed back"
+            return FeedbackState(self.state, reason, largest, failures=failures)
         if self.restarted:
             difference = np.zeros(arm.nv)
             positions = cast(Array, self.positions)
@@ -308,8 +333,10 @@ class Feedback:
         self.points = self._filter(measured, difference, measured_points, dt)
         if self.response.stopped.any():
             reason = self._describe_stopped(positions)
-            return FeedbackState(self.state, reason, largest, self._hold(positions))
+            failures = self._failures("stuck", self.response.stopped, positions, dt)
+            return FeedbackState(self.state, reason, largest, self._hold(positions), failures)
         self._held = None
+        self._failing = {}
         return FeedbackState(self.state, "", largest)
 
     def _watch(self, positions: Array, dt: float) -> None:
@@ -355,6 +382,20 @@ class Feedback:
             back = np.where(stopped, self.response.held - sent, 0.0)
             self._held = Target.from_configuration(self.arm, self.arm.integrate(command, back))
         return self._held
+
+    def _failures(
+        self, kind: str, failing: NDArray[np.bool_], positions: Array, dt: float
+    ) -> tuple[JointFailure, ...]:
+        """Return what is known of joints that fail in a cycle, given by degree of freedom, (nv,)."""
+        before = self._failing
+        self._failing = {
+            (int(u), kind): before.get((int(u), kind), 0.0) + dt for u in np.flatnonzero(failing)
+        }
+        names = self.arm.joint_names
+        return tuple(
+            JointFailure(names[u], kind, float(positions[u]), lasted)
+            for (u, _), lasted in self._failing.items()
+        )
 
     def _describe(self, joint: int, displacement: float) -> str:
         """Return the displacement of a degree of freedom in words, as its drive counts it."""

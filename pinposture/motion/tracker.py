@@ -36,7 +36,13 @@ from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
-from pinposture.motion.feedback import TRACKING_ERROR, Feedback, FeedbackState, read_start
+from pinposture.motion.feedback import (
+    TRACKING_ERROR,
+    Feedback,
+    FeedbackState,
+    JointFailure,
+    read_start,
+)
 from pinposture.motion.loop import Loop, describe_binding_limits, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities
 from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
@@ -90,6 +96,7 @@ class Report(NamedTuple):
             limit of jerk, `dq` and `error_increasing` are those after the filter, as in runs.
         time: how long `Tracker.step` took [s].
         overran: whether that is longer than the nominal cycle time.
+        failures: joints that do not do what they are commanded, while the arm holds because of them.
     """
 
     status: str
@@ -101,6 +108,7 @@ class Report(NamedTuple):
     step: Step | None = None
     time: float = 0.0
     overran: bool = False
+    failures: tuple[JointFailure, ...] = ()
 
     def __repr__(self) -> str:
         why = f": {self.reason}" if self.reason else ""
@@ -782,7 +790,8 @@ class Tracker:
             harder = self.scene is not None and exceeded.startswith("acceleration")
             text = BRAKING_HARDER if harder else exceeded
             relaxed += (text,) * (text not in relaxed)
-        return Report(status, reason, error, feedback.tracking_error, age, relaxed, step)
+        failures = feedback.failures
+        return Report(status, reason, error, feedback.tracking_error, age, relaxed, step, failures=failures)
 
     def _describe_sent(self, feedback: FeedbackState, decision: Decision, dq: Array) -> Step | None:
         """Return the step dq that was sent, as the controller described it; None if it computed none."""

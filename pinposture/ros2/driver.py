@@ -570,6 +570,7 @@ class Driver:
             "mean error": report.mean_error,
             "tracking error": report.tracking_error,
             "violated": "; ".join(report.violated_constraints),
+            "failing joints": "; ".join(map(str, report.failures)),
             "target": self._target_fault or ("given" if self.tracker.target is not None else "none"),
             "cells seen by cameras": len(self._map.cells.points),
             "refused clouds": "; ".join(f"{frame}: {why}" for frame, why in self._cloud_faults.items()),

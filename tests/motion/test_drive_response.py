@@ -507,3 +507,27 @@ def test_the_lead_ends_at_position_limits_and_is_for_positions_alone() -> None:
         Tracker(arm, limits=LIMITS, drives=DriveModel(), interface="velocity")
     with pytest.raises(pp.PostureError, match="a DriveModel, or None"):
         Tracker(arm, limits=LIMITS, drives="slow")
+
+
+def test_a_joint_that_sticks_or_falls_is_named_with_its_position_until_it_follows_again(arm: pp.Arm) -> None:
+    robot = Robot(arm, IDEAL)
+    joint = arm.nv // 2
+    robot.tracker.update(Target.from_configuration(arm, np.full(arm.nv, 1.0)))
+    robot.go(0.4)
+    assert robot.tracker.report.failures == ()
+    robot.drives.running[joint] = False
+    robot.go(0.8)
+    (failure,) = robot.tracker.report.failures
+    assert (failure.joint, failure.kind) == (arm.joint_names[joint], "stuck")
+    assert failure.position == pytest.approx(robot.drives.positions[joint], abs=2e-3)
+    assert 0.1 < failure.duration < 0.8
+    locked = arm.with_locked({failure.joint: failure.position})
+    assert locked.limits.upper[joint] == failure.position
+    robot.drives.running[joint] = True
+    robot.go(0.5)
+    assert robot.tracker.report.failures == ()
+    robot.drives.sag[joint] = -0.6  # it falls by as much
+    robot.go(0.1)
+    (failure,) = robot.tracker.report.failures
+    assert (failure.joint, failure.kind) == (arm.joint_names[joint], "astray")
+    assert str(failure).startswith(f"{failure.joint} is astray at ")
