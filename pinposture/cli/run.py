@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime, timezone
 from pathlib import Path
@@ -32,11 +32,11 @@ from pinposture.cli.output import (
     write_files,
 )
 from pinposture.cli.view import show
-from pinposture.errors import PostureError
+from pinposture.errors import InvalidValue, PostureError, enumerated
 from pinposture.storage import write_text
 
 if TYPE_CHECKING:
-    from pinposture.task import Reference, Task
+    from pinposture.task import Reference, Retreats, Task
 
 _RESULT = re.compile(r"motion\.[a-z]+")
 """Names of the files of a motion."""
@@ -137,6 +137,7 @@ def _now() -> str:
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes",
     "pinposture run examples/tasks/around.toml --json",
     "pinposture run examples/tasks/pipe.toml --check",
+    "pinposture run examples/tasks/pipe.toml --check --retreat 5",
     "pinposture run examples/tasks/inspection.toml -o out/inspection",
     "pinposture run examples/tasks/keyframes.toml --set limits.velocity=1",
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes --view",
@@ -167,6 +168,14 @@ def run(
             flags="--check",
         ),
     ] = False,
+    retreat: Annotated[
+        int | None,
+        OUTPUT(
+            "With --check: from which of this many postures, evenly spaced, the arm could not come out again "
+            "if any one of its hinges stuck there. It takes seconds to minutes for each.",
+            "N",
+        ),
+    ] = None,
     as_json: JsonOption = False,
     view: ViewOption = False,
 ) -> None:
@@ -183,11 +192,14 @@ def run(
     from pinposture.task import Task
     from pinposture.task.reference import find_crowded
 
+    if retreat is not None and (not check or retreat < 1):
+        raise InvalidValue("--retreat", retreat, "a number of 1 or more, with --check")
     task = Task.load(file, read_changes(changes))
     if check:
         with count_progress("posture") as placing:
             reference = task.reference(placing)
-        _print_check(file, task, reference, as_json)
+        retreats = None if retreat is None else _find_retreats(task, reference, retreat)
+        _print_check(file, task, reference, retreats, as_json)
         return
     folder = None if output is None else Folder(output, str(file))
     with nullcontext() if folder is None else _kept_in(folder):
@@ -210,8 +222,67 @@ def run(
     end_with(motion.faults)
 
 
-def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) -> None:
-    """Print the plan, and how well the arm can perform it."""
+RETREAT_BUDGET = 10.0
+"""Time for the search of a way out beside the way in, for one joint [s]."""
+
+
+def _find_retreats(task: Task, reference: Reference, count: int) -> Retreats:
+    """Return the ways out of evenly spaced postures, up to the first from which there is none.
+
+    A slide, such as the feed, does not count: no arm comes out if that sticks.
+
+    Raises:
+        InvalidValue: the arm holds something on its way.
+    """
+    import numpy as np
+
+    from pinposture.task import can_retreat
+
+    if reference.held:
+        raise InvalidValue("--retreat", count, "only for a task in which the arm holds nothing")
+    hinges = [task.arm.joint_names[u] for u in task.arm.columns if not task.arm.slides[u]]
+    rows = np.array([reference.configuration(row) for row in range(reference.rows)])
+    postures = np.unique(np.linspace(0, reference.rows - 1, count + 1).round().astype(int))[1:].tolist()
+    with count_progress("posture") as examining:
+        return can_retreat(
+            task.arm,
+            rows,
+            task.surroundings(reference),
+            hinges or None,
+            postures=postures,
+            limits=task.limits,
+            budget=RETREAT_BUDGET,
+            until_blocked=True,
+            progress=examining,
+        )
+
+
+def _describe_retreats(retreats: Retreats, reference: Reference) -> dict[str, Any]:
+    """Describe from which posture the arm cannot come out, as JSON-compatible data [s, rad or m]."""
+    first = retreats.first
+    examined = len({way.posture for way in retreats.ways})
+    if first is None:
+        return {"examined": examined, "first_blocked": None}
+    blocked = {
+        "planned": float(reference.times[first.posture]),
+        "joints": {way.joint: way.position for way in retreats.blocked},
+        "reason": first.reason,
+    }
+    return {"examined": examined, "first_blocked": blocked}
+
+
+def _retreats_in_words(found: Mapping[str, Any]) -> str:
+    blocked = found["first_blocked"]
+    if blocked is None:
+        return f"from all postures examined ({found['examined']}), whichever hinge sticks there"
+    joints = enumerated([f"{name} at {at:.4g}" for name, at in blocked["joints"].items()], 4)
+    return f"not from {blocked['planned']:.4g} s on, if one of these sticks: {joints}; {blocked['reason']}"
+
+
+def _print_check(
+    file: Path, task: Task, reference: Reference, retreats: Retreats | None, as_json: bool
+) -> None:
+    """Print the plan, how well the arm can perform it, and from where it could not come out again."""
     found = task.feasibility(reference)
     places = [
         {
@@ -221,10 +292,13 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
         }
         for each in found
     ]
+    out = None if retreats is None else _describe_retreats(retreats, reference)
     if as_json:
-        print_json({"task": str(file), "keyframes": places, "planned": reference.duration})
+        told = {} if out is None else {"retreat": out}
+        print_json({"task": str(file), "keyframes": places, "planned": reference.duration, **told})
     else:
-        print_facts({"duration": f"{reference.duration:.4g} s, if nothing slows it"})
+        retreat = {} if out is None else {"comes out": _retreats_in_words(out)}
+        print_facts({"duration": f"{reference.duration:.4g} s, if nothing slows it", **retreat})
         headings = (
             "posture",
             "planned [s]",

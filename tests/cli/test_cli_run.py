@@ -111,6 +111,31 @@ def test_without_a_list_every_format_is_kept(command, task, tmp_path):
     assert kinds == {".npz", ".csv", ".json", ".png", ".html"}
 
 
+@pytest.mark.long
+def test_a_check_tells_that_the_arm_comes_out_whichever_joint_sticks(command, task):
+    data = json.loads(command("run", task, "--check", "--retreat", "1", "--json").out)
+    assert data["retreat"] == {"examined": 1, "first_blocked": None}
+
+
+def test_a_check_names_the_first_posture_from_which_the_arm_cannot_come_out(command, task, monkeypatch):
+    def blocked(arm, q, scene, failed, *, postures, **_):
+        assert failed == list(arm.joint_names) and postures == [len(q) // 2, len(q) - 1]
+        free = pp.Retreat(postures[1], "a", 0.1, "a way", "")
+        return pp.Retreats(
+            (free, pp.Retreat(postures[1], "b", 0.25, None, "link to wall: overlapping by 1 mm"))
+        )
+
+    monkeypatch.setattr("pinposture.task.can_retreat", blocked)
+    told = command("run", task, "--check", "--retreat", "2").out
+    words = "not from 1 s on, if one of these sticks: b at 0.25; link to wall: overlapping by 1 mm"
+    assert f"comes out  {words}" in told
+    found = json.loads(command("run", task, "--check", "--retreat", "2", "--json").out)["retreat"]
+    assert found["first_blocked"]["joints"] == {"b": 0.25}
+    for flags in (("--retreat", "1"), ("--check", "--retreat", "0")):
+        refused = command("run", task, *flags)
+        assert refused.code == 2 and "--retreat" in refused.err
+
+
 def test_the_next_run_says_what_is_there(command, task, tmp_path):
     out = tmp_path / "out"
     command("run", task, "-o", out)
