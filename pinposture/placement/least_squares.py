@@ -84,17 +84,11 @@ class RefinementSettings(NamedTuple):
     still: float = 1e-7
     """Step at which it ends [rad, or arm lengths]."""
 
-    no_cost: float = 1e-24
-    """Sum of squares at which it ends, in squared arm lengths."""
-
     damping: float = 1e-11
     """Smallest damping, relative to `stiffness`."""
 
-    damping_down: float = 0.1
-    """Factor of the damping after a better step."""
-
-    damping_up: float = 10.0
-    """Factor of the damping after a worse step."""
+    damping_ratio: float = 10.0
+    """Factor of the damping after a worse step, and its inverse after a better one."""
 
 
 REFINEMENT = RefinementSettings()
@@ -626,11 +620,11 @@ def refined(
             cost = float(trial_cost)
             residual = trial_residual
             jacobian = trial_jacobian
-            damping = max(damping * REFINEMENT.damping_down, REFINEMENT.damping)
+            damping = max(damping / REFINEMENT.damping_ratio, REFINEMENT.damping)
         else:
-            damping *= REFINEMENT.damping_up
+            damping *= REFINEMENT.damping_ratio
             largest = REFINEMENT.largest_step if damping < 1.0 else 0.0
-        if largest <= REFINEMENT.still or cost <= REFINEMENT.no_cost:
+        if largest <= REFINEMENT.still:
             break
     return np.asarray(x)
 
