@@ -38,6 +38,9 @@ step takes longer; with twice the part, 2 of 20 problems of clutter had no solut
 WITHDRAWAL_ERROR = 0.002
 """Mean distance from the curve at which a withdrawal step is accepted, in arm lengths."""
 
+MAX_FIT_STEPS = 12
+"""Largest number of iterations of the fit of a withdrawal step, which begins where the last one ended."""
+
 MAX_FAILURES = 3
 """Number of consecutive failed steps that ends a withdrawal."""
 
@@ -54,7 +57,7 @@ SAMPLED = 16
 TRAPPED_SHARE = 0.125
 PATIENT_TURNS = 16
 """Share of its turns in which a tree grows, below which its root counts as trapped, which ends an attempt to
-join; and the number of turns of both trees before that."""
+join; and the number of turns of both trees before that, of an attempt with `JOIN_NODES`."""
 
 TREE_STEP = 0.3
 PIECE_TURN = 0.1
@@ -197,8 +200,8 @@ class PathSearch:
             samples = samples[used:]
             if outcome == ENDED:
                 self._trapped = trees.counts - 1 < TRAPPED_SHARE * 0.5 * turns
-                hopeless = turns >= PATIENT_TURNS and nodes == JOIN_NODES and self._trapped.any()
-                if hopeless or len(samples) or turns >= nodes:
+                patient = turns * JOIN_NODES < PATIENT_TURNS * nodes
+                if (self.is_trapped and not patient) or len(samples) or turns >= nodes:
                     return None
                 samples = self._samples(one, other, min(SAMPLED, nodes - turns))
             refused = outcome == OPEN and not self.is_clear(_last_edge(trees))
@@ -357,7 +360,7 @@ class _Withdrawal:
         search = self._search
         good = WITHDRAWAL_ERROR * search.arm.length
         problem = search.problem._replace(objective=objective, avoidance=avoidance)
-        found = minimize(problem, self._state, good)
+        found = minimize(problem, self._state, good, steps=MAX_FIT_STEPS)
         if found.mean_error > good:
             return False
         offset = self.offsets[-1] + search.arm.difference(self._state.q, found.state.q)

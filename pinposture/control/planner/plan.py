@@ -102,6 +102,9 @@ MIN_SHORTENED = 1.2
 MAX_PATHS = 12
 """Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
 
+MAX_HOPELESS_PATHS = 4
+"""The same if the search has ended without a path."""
+
 MAX_DETOUR = 2.0
 """Length of a clear path, relative to the most direct one, above which the search looks for a shorter one."""
 
@@ -516,13 +519,16 @@ class _Candidates:
                 found = search.withdraw(self._tell)
         if found is not None:
             self.judge(search.path(found))
-        if found is None or found.found_by == TREE_SEARCH:
+        direct = not search.is_trapped
+        if direct:
             yield self._relax(0, variant, count)
-        if found is None:
-            found = search.withdraw(self._tell)
+            if found is None:
+                found = search.withdraw(self._tell)
         if found is not None:
             yield from self._relax_found(found)
-        for k in range(1, count):
+        else:
+            count = min(count, MAX_HOPELESS_PATHS)
+        for k in range(int(direct), count):
             if not self._clear:
                 yield self._relax(k, variant, count)
 
