@@ -34,7 +34,7 @@ from pinposture.control.planner.objective import (
     check_objective,
 )
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.path_search import TREE_SEARCH, FoundPath, PathSearch
+from pinposture.control.planner.path_search import FoundPath, PathSearch
 from pinposture.control.planner.trajectory_optimization import Penalties, TaskRows, direct_path, relax_path
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
@@ -511,24 +511,25 @@ class _Candidates:
         variant = 2 * attempt
         count = MAX_PATHS // (1 + attempt)
         found = None
+        hopeless = False
         if self._tasks is None:
             if attempt == 0:
                 yield self._most_direct
             found = search.connect(self._tell)
-            if found is None and search.is_trapped:
+            hopeless = found is None and search.is_trapped
+            if hopeless:
                 found = search.withdraw(self._tell)
         if found is not None:
             self.judge(search.path(found))
-        direct = not search.is_trapped
-        if direct:
+        if not hopeless:
             yield self._relax(0, variant, count)
-            if found is None:
-                found = search.withdraw(self._tell)
+        if found is None and not hopeless:
+            found = search.withdraw(self._tell)
         if found is not None:
             yield from self._relax_found(found)
         else:
             count = min(count, MAX_HOPELESS_PATHS)
-        for k in range(int(direct), count):
+        for k in range(int(not hopeless), count):
             if not self._clear:
                 yield self._relax(k, variant, count)
 
