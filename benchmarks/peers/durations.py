@@ -2,6 +2,7 @@
 
     python -m benchmarks.peers.durations                    # 16 to 200 joints, 20 draws each
     python -m benchmarks.peers.durations --joints 40 --draws 5 --json
+    python -m benchmarks.peers.durations --cost             # how long `retime` takes with limits of torque
 
 Arms of RyRz modules, 1 m long. Runs go from one smooth random posture to another; motions through five of
 them, at times at which limits bind throughout. Limits of all joints are 1 rad/s, and 2, 5 or 20 rad/s^2; or
@@ -16,6 +17,10 @@ waypoint motions of 100 joints were 1 to 3 % too short. Pinocchio also computes 
 
 Single joints also have limits of jerk; their shortest time is that of Ruckig (package `ruckig`, as above).
 Ratios below 1 come from cycles: limits hold for differences between them, not for all times.
+
+The cost of limits of torque is that of `retime` on the same paths, in relation to limits of 2 rad/s and of
+2, 5 or 20 rad/s^2 alone: with both, and with those of torque in place of acceleration. Each is timed in turn,
+and the shortest of the times counts.
 """
 
 from __future__ import annotations
@@ -25,6 +30,8 @@ import json
 import subprocess
 import sys
 import tempfile
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,6 +60,9 @@ JERKS, DISTANCES = (20.0, 50.0, 200.0), (0.02, 0.1, 0.3, 1.0, 2.5)
 
 SHORT_CYCLE, DENSE = 0.001, 16
 """Cycle of paths with limits of torque [s], and samples of each waypoint for TOPP-RA."""
+
+COST_SPEED, COST_ACCELERATIONS, COST_TURNS = 2.0, (2.0, 5.0, 20.0), 30
+"""Limits of paths on which the cost of `retime` is measured [rad/s, rad/s^2], and times of each."""
 
 LONGEST_WITH_TORQUES = 100
 """Most joints of an arm whose torques are limited."""
@@ -221,14 +231,58 @@ def measure_torques(joints: int, speed: float, effort: float, draws: int) -> dic
     }
 
 
+def measure_cost(joints: int, draws: int) -> dict[str, Any]:
+    """Return how long `retime` takes with limits of torque, in relation to limits of acceleration alone."""
+    arm = pp.Arm.from_template("RyRz", joints // 2, (1.0 / joints, 1.0 / joints))
+    speed = pp.Limits(step=None, velocity=COST_SPEED, dt=CYCLE)
+    shortest = []
+    for draw in range(draws):
+        rng = np.random.default_rng(draw)
+        start, goal = (smooth_configuration(arm, rng, BEND / arm.nv) for _ in range(2))
+        path = pp.plan(arm.at(start), pp.Target.from_configuration(arm, goal), limits=speed)
+        for acceleration in COST_ACCELERATIONS:
+            for _, share in EFFORTS[:2]:
+                effort = share * float(path.largest_held.max())
+                alone = replace(speed, acceleration=acceleration)
+                cases = alone, replace(alone, effort=effort), replace(speed, effort=effort)
+                times = np.array([[_time_retime(path, each) for each in cases] for _ in range(COST_TURNS)])
+                shortest.append(times.min(axis=0))
+    found = np.array(shortest)
+    return {
+        "kind": "cost",
+        "joints": joints,
+        "of": len(found),
+        "milliseconds": float(np.median(1e3 * found[:, 0])),
+        "ratio": float(np.median(found[:, 1] / found[:, 0])),
+        "torque_ratio": float(np.median(found[:, 2] / found[:, 0])),
+    }
+
+
+def _time_retime(path: pp.JointPath, limits: pp.Limits) -> float:
+    """Return how long `retime` takes [s]."""
+    begun = time.perf_counter()
+    pp.retime(path, limits)
+    return time.perf_counter() - begun
+
+
 def main() -> None:
     """Measure, and print a line for each kind, number of joints and limits."""
     kind = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
     parser.add_argument("--joints", type=int, nargs="+", default=[16, 40, 100, 200], help="even numbers")
     parser.add_argument("--draws", type=int, default=20, help="runs for each")
+    parser.add_argument("--cost", action="store_true", help="only how long `retime` takes")
     parser.add_argument("--json", action="store_true", help="print JSON")
     given = parser.parse_args()
+    if given.cost:
+        for joints in (each for each in given.joints if each <= LONGEST_WITH_TORQUES):
+            row = measure_cost(joints, given.draws)
+            words = (
+                "retime {joints:4d} joints: {milliseconds:.2f} ms with limits of acceleration; {ratio:.2f} "
+                "times as long with those of torque as well, {torque_ratio:.2f} times with those instead"
+            )
+            print(json.dumps(row) if given.json else words.format(**row), flush=True)
+        return
     load()
     cases = [(each, n, *limits) for each in ("run", "motion") for n in given.joints for limits in LIMITS]
     console, rows = Console(stderr=True), []

@@ -413,9 +413,9 @@ def torque_rows(
     # At the scale of accelerations.
     largest = float(moved.max()) / max(float(np.abs(samples.a).max()), 1e-300)
     shape = (len(parts.piece), 3, 2 * arm.nv)
-    rows = ProfileRows(
-        a=np.empty(shape), b=np.empty(shape), c=np.empty(shape), limit=np.append(brake, largest * limit)
-    )
+    # In one block: several would be given back to the system, and cleared by it for the next path.
+    a, b, c = np.empty((3, *shape))
+    rows = ProfileRows(a, b, c, limit=np.append(brake, largest * limit))
     kernels.fill_torque_rows(samples, parts, largest, EFFORT_SHARE, rows, arm.nv)
     return rows
 
