@@ -503,9 +503,9 @@ class _Candidates:
         """Find candidates, in this order, as long as none is good enough.
 
         The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
-        none is clear, further relaxed paths. The tree search comes before the relaxation, and tells what it
-        finds at once; if it finds an end trapped, the withdrawal does so as well. With tasks, which it would
-        disregard, the search comes after the relaxation.
+        none is clear, further relaxed paths. The tree search comes before the first relaxation, which is left
+        out if an end is trapped. What is found is told at once. With tasks, which a search would disregard,
+        it comes after the first relaxation.
         """
         search = self._search
         variant = 2 * attempt
@@ -515,16 +515,12 @@ class _Candidates:
         if self._tasks is None:
             if attempt == 0:
                 yield self._most_direct
-            found = search.connect(self._tell)
+            found = self._keep(search.connect(self._tell))
             hopeless = found is None and search.is_trapped
-            if hopeless:
-                found = search.withdraw(self._tell)
-        if found is not None:
-            self.judge(search.path(found))
         if not hopeless:
             yield self._relax(0, variant, count)
-        if found is None and not hopeless:
-            found = search.withdraw(self._tell)
+        if found is None:
+            found = self._keep(search.withdraw(self._tell))
         if found is not None:
             yield from self._relax_found(found)
         else:
@@ -532,6 +528,12 @@ class _Candidates:
         for k in range(int(not hopeless), count):
             if not self._clear:
                 yield self._relax(k, variant, count)
+
+    def _keep(self, found: FoundPath | None) -> FoundPath | None:
+        """Keep a path that was found, so that it is told with the next attempt."""
+        if found is not None:
+            self.judge(self._search.path(found))
+        return found
 
     def judge(self, path: JointPath) -> bool:
         """Keep a path; return whether it is clear."""
