@@ -138,8 +138,8 @@ def can_retreat(
     stuck joint and the obstacles allow. Where that ends, `plan` searches for another way. All ways are
     checked between postures as well.
 
-    A way that is returned exists. If none was found, one may exist all the same; `reason` says which. Only
-    an arm that overlaps an obstacle at the posture itself, or outside with that joint where it is, has none.
+    A way that is returned exists. Only an arm that overlaps an obstacle at the posture itself has none for
+    certain. If none was found, one may exist all the same: `reason` says what was in the way.
 
     Joints that go limp are not covered: where one hangs or leans depends on its load, on friction and on what
     it touches. Hold it by a brake, and it is stuck.
@@ -157,7 +157,7 @@ def can_retreat(
             row of q.
         limits: the margin to position limits; `Limits()` if None.
         budget: time after which no other way is searched for a posture and joint [s]. The answer then depends
-            on the speed of the machine; without a budget it is reproducible. A search can take a minute.
+            on the speed of the machine; without a budget it is reproducible. A search can take tens of seconds.
         until_blocked: whether to end with the first posture from which the arm cannot come out.
         progress: called with the numbers of postures that are done, and of all.
 
@@ -329,7 +329,7 @@ class _Way:
             near = RETREAT.near * float(self._arm.chain.module_lengths.mean())
             if off > near or self._model.minimum(goal.q).distance < self._least:
                 words = describe_distance(closest.pair or (), closest.distance)
-                return f"outside, with the joint where it is, {words}, and no posture nearby is clear"
+                return f"outside, with the joint where it is, {words}, and no clear posture was found nearby"
         self._follow(back)
         found = self._end(goal, budget)
         if found.blocked_by:
