@@ -157,7 +157,8 @@ def can_retreat(
             row of q.
         limits: the margin to position limits; `Limits()` if None.
         budget: time after which no other way is searched for a posture and joint [s]. The answer then depends
-            on the speed of the machine; without a budget it is reproducible. A search can take tens of seconds.
+            on the speed of the machine; without a budget it is reproducible. A search can take
+            tens of seconds.
         until_blocked: whether to end with the first posture from which the arm cannot come out.
         progress: called with the numbers of postures that are done, and of all.
 
