@@ -276,7 +276,7 @@ def _retreats_in_words(found: Mapping[str, Any]) -> str:
     if blocked is None:
         return f"from all postures examined ({found['examined']}), whichever hinge sticks there"
     joints = enumerated([f"{name} at {at:.4g}" for name, at in blocked["joints"].items()], 4)
-    return f"not from {blocked['planned']:.4g} s on, if one of these sticks: {joints}; {blocked['reason']}"
+    return f"not at {blocked['planned']:.4g} s if one of these sticks: {joints}; {blocked['reason']}"
 
 
 def _print_check(

@@ -127,7 +127,7 @@ def test_a_check_names_the_first_posture_from_which_the_arm_cannot_come_out(comm
 
     monkeypatch.setattr("pinposture.task.can_retreat", blocked)
     told = command("run", task, "--check", "--retreat", "2").out
-    words = "not from 1 s on, if one of these sticks: b at 0.25; link to wall: overlapping by 1 mm"
+    words = "not at 1 s if one of these sticks: b at 0.25; link to wall: overlapping by 1 mm"
     assert f"comes out  {words}" in told
     found = json.loads(command("run", task, "--check", "--retreat", "2", "--json").out)["retreat"]
     assert found["first_blocked"]["joints"] == {"b": 0.25}
