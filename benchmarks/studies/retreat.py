@@ -8,8 +8,8 @@ Each draw is a pipe with two bends of 30 to 90 degrees, of radii of 0.2 to 0.35 
 by a random depth. There a hinge sticks that is bent by 1 degree or more. Wanted is the way back to the entry.
 
 Ways that are promised are performed in time by drives with a lag of 0.1 s, of which that of the failed joint
-does not run. Clearance is judged apart from the library: points every 2 mm along the links against the boxes
-of the pipe in closed form. For comparison: the arm is driven back along the path by which it came, as if the
+does not run. Clearance is judged apart from the library: balls every 2 mm along the links, and the rim at the
+tip, against the boxes of the pipe in closed form. For comparison: the arm is driven back along the path by which it came, as if the
 joint still worked.
 """
 
@@ -100,17 +100,22 @@ def clearance(arm: pp.Arm, rows: Array, scene: pp.Scene) -> float:
     turns = np.array([box.rotation for box in boxes])
     halves = 0.5 * np.array([box.size for box in boxes])
     least = np.inf
+    angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     for q in rows:
-        links = arm.at(q).links
-        points = np.concatenate(
-            [
-                np.linspace(begin, end, 1 + max(1, int(np.linalg.norm(end - begin) / SPACING)))
-                for begin, end in pairwise(links)
-            ]
-        )
-        local = np.einsum("pbj,bjk->pbk", points[:, None] - centers, turns)
+        links = arm.at(q).links.copy()
+        tip = links[-1].copy()
+        ahead = (tip - links[-2]) / np.linalg.norm(tip - links[-2])
+        links[-1] -= RADIUS * ahead  # the last link is a tube that ends flat at the tip: its rim is added
+        across = np.linalg.svd(ahead[None])[2][1:]
+        rim = tip + RADIUS * np.column_stack([np.cos(angles), np.sin(angles)]) @ across
+        points = [rim]
+        for begin, end in pairwise(links):
+            count = 1 + max(1, int(np.linalg.norm(end - begin) / SPACING))
+            points.append(np.linspace(begin, end, count))
+        radii = np.repeat([0.0, RADIUS], [len(rim), sum(map(len, points[1:]))])
+        local = np.einsum("pbj,bjk->pbk", np.concatenate(points)[:, None] - centers, turns)
         outside = np.maximum(np.abs(local) - halves, 0.0)
-        least = min(least, float(np.linalg.norm(outside, axis=-1).min()) - RADIUS)
+        least = min(least, float((np.linalg.norm(outside, axis=-1).min(axis=1) - radii).min()))
     return least
 
 
