@@ -9,8 +9,8 @@ by a random depth. There a hinge sticks that is bent by 1 degree or more. Wanted
 
 Ways that are promised are performed in time by drives with a lag of 0.1 s, of which that of the failed joint
 does not run. Clearance is judged apart from the library: balls every 2 mm along the links, and the rim at the
-tip, against the boxes of the pipe in closed form. For comparison: the arm is driven back along the path by which it came, as if the
-joint still worked.
+tip, against the boxes of the pipe in closed form. For comparison, the arm is driven back along the path by
+which it came, as if the joint still worked.
 """
 
 from __future__ import annotations
