@@ -611,7 +611,7 @@ def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, p
             product[i, u] += moved * rows.matrix[row, u]
     for i in range(1, last):
         here = screws[i], ends, points[i]
-        if contacts.begins[i + 1] > contacts.begins[i]:
+        if parts[3][contacts.begins[i] : contacts.begins[i + 1]].any():
             _move_contacts(parts, i, here, steps[i], scratch, factors)
             _pull_contacts(parts, i, factors, here, scratch, product[i])
         for u in range(n):

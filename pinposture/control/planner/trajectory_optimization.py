@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import ChainState
+from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.planner.path import SHORT_MOTION, JointPath
@@ -44,7 +45,8 @@ class Penalties(NamedTuple):
     Attributes:
         tasks: rows of tasks, whose errors should vanish at each waypoint; None: none.
         avoidance: the obstacles to avoid; None: none.
-        clearance_root: root of the weight of missing clearance, relative to the motion of points.
+        clearance_root: root of the weight of missing clearance, relative to the motion of points; of given
+            paths in 64 pieces, and in proportion to the length of a piece.
         least: the distance that a clear path keeps [m].
         until: time of `perf_counter` at which the relaxation ends.
     """
@@ -54,6 +56,10 @@ class Penalties(NamedTuple):
     clearance_root: float = 0.0
     least: float = 0.0
     until: float = inf
+
+    def for_pieces(self, pieces: int) -> Penalties:
+        """Return the terms of a given path in so many pieces: motion costs more in longer ones."""
+        return self._replace(clearance_root=self.clearance_root * GIVEN_PATH_PIECES[1] / pieces)
 
 
 class Stage(NamedTuple):
@@ -101,7 +107,7 @@ MIN_DECREASE = 1e-4
 """Relative decrease of the energy in one pass at which a stage ends."""
 
 PENALIZED_PIECES = 48
-GIVEN_PATH_PIECES = (64, 128, 256)
+GIVEN_PATH_PIECES = (32, 64, 128, 256)
 """Number of pieces of a path with penalties; and of a given path, the first with which it is still clear."""
 
 KEPT_RATIO = 1.01
@@ -116,9 +122,8 @@ LARGE_BEND = 0.4
 """Sideways bend of the initial guess, relative to the largest joint motion, which breaks symmetries; and that
 of the variants."""
 
-MAX_PATH_ITERATIONS = 60
 NEWTON_CONVERGED = 1e-3
-"""Largest number of Gauss-Newton steps, and the relative decrease of the energy at which they end."""
+"""Relative decrease of the energy at which Gauss-Newton steps end."""
 
 MAX_HINDERED_ITERATIONS = 30
 PATIENT_ITERATIONS = 6
@@ -129,16 +134,38 @@ abandoned if the energy exceeds a share of the initial one, and that share."""
 MAX_WAYPOINT_STEP = 0.3
 """Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
 
-FIRST_DAMPING = 1e-3
 MIN_DAMPING = 1e-9
 MAX_DAMPING = 1e6
-"""Initial and smallest damping of Gauss-Newton steps, and that at which the search ends, relative to the mean
-diagonal of J^T J."""
+"""Smallest damping of Gauss-Newton steps, and that at which the search ends, relative to the mean diagonal of
+J^T J."""
 
 DAMPING_DECREASE = 1.0 / 3.0
-DAMPING_INCREASE = 2.0
-"""Damping factors after a step that lowered the energy and one that did not; the latter is squared with each
-consecutive failure."""
+"""Damping factor after a step that lowered the energy."""
+
+
+class Descent(NamedTuple):
+    """How the Gauss-Newton steps of a path go; `docs/design/relaxation.md` measures given paths with others.
+
+    Attributes:
+        steps: largest number of steps.
+        damping: initial damping, relative to the mean diagonal of J^T J.
+        increase: damping factor after a step that did not lower the energy.
+        power: power to which that factor is raised with each consecutive failure.
+        keeps: whether the damping stays after a step that was shortened.
+    """
+
+    steps: int
+    damping: float
+    increase: float
+    power: float
+    keeps: bool
+
+
+FROM_GUESS = Descent(steps=60, damping=1e-3, increase=2.0, power=2.0, keeps=False)
+COARSE = Descent(steps=20, damping=1e-6, increase=3.0, power=1.4, keeps=True)
+FINE = COARSE._replace(steps=10)
+WHOLE = COARSE._replace(steps=50)
+"""From a guess; from a given path in few pieces, then with each divided in two; and in many at once."""
 
 MAX_HELD_BACK = 8
 """How often waypoints of a step are held back to keep a clear path clear, before the step is rejected."""
@@ -196,12 +223,21 @@ def relax_path(
         The path on a spline through its waypoints, and with straight lines between them.
     """
     waypoints = _Waypoints(objective, start, edges)
-    relaxation = _PathRelaxation(waypoints, penalties)
-    for pieces in GIVEN_PATH_PIECES:
-        x = waypoints.space(offsets, pieces)
-        if relaxation.is_clear(x):
-            break
-    found = relaxation.run(x)
+    # Distances between waypoints, where pieces are divided, are known to the tolerance.
+    spare = penalties.least + MOTION_TOLERANCE * objective.arm.length
+    few = GIVEN_PATH_PIECES[0]
+    coarse = _PathRelaxation(waypoints, penalties.for_pieces(few)._replace(least=spare))
+    x = waypoints.space(offsets, few)
+    descent = FINE
+    if coarse.is_clear(x):
+        x = waypoints.divide(coarse.run(x, COARSE))
+    else:
+        descent = WHOLE
+        for pieces in GIVEN_PATH_PIECES[1:]:
+            x = waypoints.space(offsets, pieces)
+            if _PathRelaxation(waypoints, penalties).is_clear(x):
+                break
+    found = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
     smooth = waypoints.refine(found, REFINEMENT * (len(found) - 1))
     first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, found))
     return first, second
@@ -243,6 +279,10 @@ class _Waypoints:
         finer = np.empty((pieces + 1, x.shape[1]))
         kernels.refine_waypoints(x, finer)
         return self._clip(finer)
+
+    def divide(self, x: Array) -> Array:
+        """Return the same path with each piece divided in two."""
+        return np.insert(x, np.arange(1, len(x)), 0.5 * (x[:-1] + x[1:]), axis=0)
 
     def space(self, offsets: Array, pieces: int) -> Array:
         """Return waypoints on a path, (N + 1, nv), equidistant in the metric of the planner."""
@@ -329,27 +369,29 @@ class _PathRelaxation:
         path = self._objective.displacement(x)
         return avoidance is None or avoidance.keeps(self._start, path, self._penalties.least)
 
-    def run(self, x: Array) -> Array:
+    def run(self, x: Array, descent: Descent = FROM_GUESS) -> Array:
         """Return waypoints at a minimum, (N + 1, n), from an initial guess within the limits."""
         now = self._evaluate(x)
-        damping = FIRST_DAMPING
-        increase = DAMPING_INCREASE
+        damping = descent.damping
+        increase = descent.increase
         first = now.energy
-        for number in range(MAX_PATH_ITERATIONS):
+        for number in range(descent.steps):
             slow = number >= PATIENT_ITERATIONS and now.energy > SLOW_SHARE * first
             hopeless = (slow or number >= MAX_HINDERED_ITERATIONS) and not now.clear.all()
             if hopeless or damping > MAX_DAMPING or perf_counter() >= self._penalties.until:
                 break
             step = self._step(now, damping)
-            tried = None if step is None else self._move(now, step)
+            shortened = step is not None and float(np.abs(step).max()) > MAX_WAYPOINT_STEP
+            tried = None if step is None else self._move(now, _shortened(step))
             if tried is None or tried.energy >= now.energy:
                 damping = damping * increase
-                increase = increase**2
+                increase = increase**descent.power
                 continue
             converged = now.energy - tried.energy < NEWTON_CONVERGED * now.scale
             now = tried
-            damping = max(damping * DAMPING_DECREASE, MIN_DAMPING)
-            increase = DAMPING_INCREASE
+            if not (shortened and descent.keeps):
+                damping = max(damping * DAMPING_DECREASE, MIN_DAMPING)
+            increase = descent.increase
             if converged:
                 break
         return now.x
@@ -362,7 +404,7 @@ class _PathRelaxation:
         moved = now.x.copy()
         moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, self._lower), self._upper)
         for _ in range(MAX_HELD_BACK):
-            tried = self._evaluate(moved)
+            tried = self._evaluate(moved, now)
             if tried.clear.all() or not now.clear.all():
                 return tried
             beside = np.zeros(len(moved), dtype=np.bool_)
@@ -371,14 +413,19 @@ class _PathRelaxation:
             moved[beside] = now.x[beside]
         return None
 
-    def _evaluate(self, x: Array) -> _Iterate:
+    def _evaluate(self, x: Array, before: _Iterate | None = None) -> _Iterate:
+        """Return waypoints with what is derived from them; those of a clear path before need no new check."""
         objective = self._objective
         arm = objective.arm
         offsets = objective.displacement(x)
         points = (arm.kinematics.points(self._positions + offsets) @ arm.plane.T).reshape(len(x), -1)
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
         rows = self._rows(offsets)
-        contacts, clear = self._clearance(offsets)
+        known = np.zeros(len(x) - 1, dtype=np.bool_)
+        if before is not None and before.clear.all():
+            still = (x == before.x).all(axis=1)
+            known = still[:-1] & still[1:]
+        contacts, clear = self._clearance(offsets, known)
         energy += float((rows.errors**2).sum())
         missing = float((contacts.errors[contacts.errors > 0.0] ** 2).sum())
         scale = energy if len(rows.errors) else energy + missing
@@ -410,8 +457,8 @@ class _PathRelaxation:
             waypoints=np.repeat(np.array(waypoints), [len(each.errors) for each in found]),
         )
 
-    def _clearance(self, offsets: Array) -> tuple[PathContacts, NDArray[np.bool_]]:
-        """Return the contacts at the inner waypoints, and which pieces are clear."""
+    def _clearance(self, offsets: Array, known: NDArray[np.bool_]) -> tuple[PathContacts, NDArray[np.bool_]]:
+        """Return the contacts at the inner waypoints, and which pieces are clear; some are known to be."""
         avoidance = self._penalties.avoidance
         least = self._penalties.least
         root = self._penalties.clearance_root
@@ -432,17 +479,19 @@ class _PathRelaxation:
         lowest = np.minimum(minima[:-1], minima[1:])
         clear = lowest >= least
         clear &= avoidance.keeps_constraints(self._start, offsets)
-        if clear.all():  # a piece is clear if the arm moves less on it than its clearance
+        if clear.all():  # a piece is clear if its ends are much nearer to each other than to obstacles
             points = self._objective.arm.kinematics.points(self._positions + offsets)
             moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-            for i in np.flatnonzero(lowest - least < moved):
+            for i in np.flatnonzero((lowest - least < 2.0 * moved) & ~known):
                 clear[i] = avoidance.keeps(self._start, offsets[i : i + 2], least)
         return contacts, clear
 
     def _step(self, now: _Iterate, damping: float) -> Array | None:
         """Return the damped step of the inner waypoints, (N - 1, n); None if it fails."""
         steps = self._waypoints.step(now.x, damping, now.rows, now.contacts)
-        if steps is None:
-            return None
-        largest = float(np.abs(steps).max())
-        return steps[1:-1] * min(1.0, MAX_WAYPOINT_STEP / max(largest, 1e-300))
+        return None if steps is None else steps[1:-1]
+
+
+def _shortened(step: Array) -> Array:
+    """Return a step in which no joint of a waypoint moves too far."""
+    return step * min(1.0, MAX_WAYPOINT_STEP / max(float(np.abs(step).max()), 1e-300))

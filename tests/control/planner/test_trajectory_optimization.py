@@ -12,10 +12,18 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import minimize
 
 import pinposture as pp
+from pinposture import kernels
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.trajectory_optimization import KEPT_RATIO, Penalties, direct_path
+from pinposture.control.planner.trajectory_optimization import (
+    COARSE,
+    FINE,
+    KEPT_RATIO,
+    Penalties,
+    direct_path,
+    relax_path,
+)
 
 LINKS = np.array([0.6, 0.4])
 MU = 0.1
@@ -218,3 +226,35 @@ def test_joints_that_cannot_move_and_slides_take_part_as_they_should() -> None:
     assert slides.min() >= -0.02 - 1e-12
     assert slides.max() <= 0.03 + 1e-12
     assert energy(arm, start, path.offsets, mu) < energy(arm, start, straight(arm, path), mu)
+
+
+def test_a_given_path_is_relaxed_in_few_pieces_and_then_in_more(
+    two: pp.Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, goal = (two.configuration(q) for q in ENDS[0])
+    edges = np.array([two.limits.lower, two.limits.upper])
+    detour = np.array([np.zeros(2), [1.5, 1.5], two.difference(start, goal)])
+    counts: list[int] = []
+    step = kernels.step_waypoints
+
+    def counted(problem: object, damping: float, x: np.ndarray, *others: object) -> int:
+        counts.append(len(x) - 1)
+        return step(problem, damping, x, *others)
+
+    monkeypatch.setattr(kernels, "step_waypoints", counted)
+    objective = objective_of(two, goal)
+    smooth, found = relax_path(objective, start, detour, edges, Penalties())
+    assert counts == sorted(counts)
+    assert 0 < counts.count(32) <= COARSE.steps
+    assert 0 < counts.count(64) <= FINE.steps
+    assert found.end == 64
+    shortest = energy(two, start, way(two, start, goal).offsets, MU) * way(two, start, goal).end
+    for path in (smooth, found):
+        assert energy(two, start, path.offsets, MU) * path.end <= (1.0 + 2.0 * NEARLY) * shortest
+
+
+def test_clearance_costs_the_same_in_few_pieces_of_a_given_path_as_in_many() -> None:
+    """N pieces of the same path have 1 / N of its energy of motion, and N times as many clearances."""
+    penalties = Penalties(clearance_root=7.0)
+    relative = [(pieces * penalties.for_pieces(pieces).clearance_root) ** 2 for pieces in (32, 64, 256)]
+    assert relative == pytest.approx([(64 * 7.0) ** 2] * 3)
