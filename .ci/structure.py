@@ -134,6 +134,7 @@ ORDER = (
     ("ros2",),
     ("viz",),
     ("editor",),
+    ("operate",),
     ("notebook",),
     ("cli",),
     ("__main__",),

@@ -24,6 +24,7 @@ from pinposture.cli import (
     generate,
     identify,
     inspect,
+    operate,
     reach,
     run,
     simulate,
@@ -262,6 +263,7 @@ VERBS: dict[str, Callable[..., None]] = {
     "identify": identify.run,
     "drive": drive.run,
     "robot": drive.run_robot,
+    "operate": operate.run,
     "compile": compile.run,
 }
 for name, verb in VERBS.items():

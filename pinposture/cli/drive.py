@@ -135,19 +135,19 @@ def run(
     settings = driver_options.read()
     arm = arm_options.read(urdf)
     scene = scene_options.read(arm)
-    limits = _read_limits(arm, limit_options, 1.0 / settings.rate)
+    limits = read_limits(arm, limit_options, 1.0 / settings.rate)
     with open_node("pinposture", ros_args or ()) as node:
         with hold_interrupt():
             driver = Driver(node, arm, settings, limits=limits, scene=scene)
             aim_options.aim(driver, scene)
         name = node.get_fully_qualified_name()
         print_note(f"{name} drives {arm.name} at {driver.settings.rate:g} Hz; Ctrl-C ends it")
-        _spin(node, driver)
+        spin_node(node, driver)
         driver.close()
         print_note(f"{name}: {driver.times.cycles} cycles, {driver.times.missed} missed; the arm holds")
 
 
-def _read_limits(arm: Arm, given: LimitOptions, dt: float) -> Limits:
+def read_limits(arm: Arm, given: LimitOptions, dt: float) -> Limits:
     """Return the usual limits of an arm, with those that are given in place of them."""
     from pinposture.ros2.driver import usual_limits
 
@@ -173,7 +173,7 @@ def _read_motion(arm: Arm, path: Path) -> JointTrajectory:
     return load_kept(file).joint_trajectory().matched(arm)
 
 
-def _spin(node: Any, worker: Any) -> None:
+def spin_node(node: Any, worker: Any) -> None:
     """Let a node work until it is done, without pauses of the garbage collector for what is there now."""
     from pinposture.ros2 import spin
 
@@ -257,5 +257,5 @@ def run_robot(
             robot = SimulatedRobot(node, arm, surroundings, settings, q0)
         name = node.get_fully_qualified_name()
         print_note(f"{name} simulates {arm.name} at {settings.rate:g} Hz; Ctrl-C ends it")
-        _spin(node, robot)
+        spin_node(node, robot)
         print_note(f"{name}: {robot.plant.cycles} cycles{robot.plant.failure and '; ' + robot.plant.failure}")

@@ -387,12 +387,16 @@ def _half_ranges(arm: Arm) -> tuple[Array, Array]:
     return 0.5 * (lower + upper), np.where(arm.unlimited, inf, 0.5 * (upper - lower))
 
 
+def room_to_limits(arm: Arm, q: Array) -> Array:
+    """Return the distance of each joint from its nearest limit, (nv,), in half ranges; 1 without limits."""
+    middle, half = _half_ranges(arm)
+    away = np.abs(arm.positions(q) - middle)
+    return np.where(half > 0.0, 1.0 - away / np.where(half > 0.0, half, 1.0), 1.0)
+
+
 def _limit_distance(arm: Arm, q: Array) -> float:
     """Return the smallest distance of a joint of the chain from its limit, in half ranges, in [0, 1]."""
-    middle, half = _half_ranges(arm)
-    columns = arm.columns[half[arm.columns] > 0.0]
-    shares = np.abs(arm.positions(q) - middle)[columns] / half[columns]
-    return float(np.clip(1.0 - shares.max(initial=0.0), 0.0, 1.0))
+    return float(np.clip(room_to_limits(arm, q)[arm.columns].min(initial=1.0), 0.0, 1.0))
 
 
 # The search for postures.

@@ -9,7 +9,7 @@ from dataclasses import replace
 from math import inf
 from queue import Empty, SimpleQueue
 from threading import Event
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,24 @@ class Cloud(NamedTuple):
     time: float
 
 
+class Guide(Protocol):
+    """What leads an arm cycle by cycle, in place of targets that it is sent."""
+
+    def lead(self, tracker: Tracker, measured: Array | None, scene: Scene, dt: float, held: str = "") -> str:
+        """Set the target of a tracker for a cycle.
+
+        Args:
+            tracker: the tracker.
+            measured: the measured configuration, (nq,); None if it is not known.
+            scene: what the arm keeps clear of.
+            dt: duration of the cycle [s].
+            held: why the arm brakes and holds whatever it is led to; empty if it does not.
+
+        Returns:
+            Why the arm has to brake and hold; empty if it may move.
+        """
+
+
 class Performance:
     """A motion that the arm performs as fast as it follows: it waits at the start, and where the arm holds.
 
@@ -206,19 +224,20 @@ class Driver:
         self._mapped_until = 0  # the last time at which the joints were measured [ns]
         known = effective_scene(arm, scene)
         self._scene = replace(known, obstacles={**known.obstacles, CLOUDS: self._map.cells})
-        period = 1.0 / self.settings.rate
+        self._period = 1.0 / self.settings.rate
         self.tracker = Tracker(
             arm,
             limits=self._limits({}),
             scene=self._scene,
-            deadline=0.5 * period,
+            deadline=0.5 * self._period,
             touch=self.settings.touch,
         )
-        self.times = CycleTimes(period)
+        self.times = CycleTimes(self._period)
         self.status = "holding"
         self.reason = "no cycle yet"
         self._joints = JointReadings(arm, self.settings.max_age)
         self._performance: Performance | None = None
+        self._guide: Guide | None = None
         self._located = False  # it is not known yet where the arm is
         self._stopping = False
         self._last_cycle = time.monotonic()
@@ -318,7 +337,7 @@ class Driver:
         node.create_subscription(Path, "~/path", self._take_path, reliable)
         node.create_subscription(JointState, "~/posture", self._take_posture, reliable)
         node.add_on_set_parameters_callback(self._change_parameters)
-        node.create_timer(1.0 / self.settings.rate, self._cycle)
+        node.create_timer(self._period, self._cycle)
         node.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
 
     def _now(self) -> int:
@@ -381,8 +400,9 @@ class Driver:
         """Set the target; that of a motion ends.
 
         Raises:
-            InvalidValue: it does not fit the arm; the former one stays.
+            InvalidValue: it does not fit the arm, or the arm follows a guide; the former one stays.
         """
+        self._require_no_guide("target", target)
         self.tracker.update(target)
         self._performance = None
         self._target_fault = ""
@@ -391,11 +411,24 @@ class Driver:
         """Move to the start of a motion, rest there, and perform it; it waits while the arm holds.
 
         Raises:
-            InvalidValue: it does not fit the arm.
+            InvalidValue: it does not fit the arm, or the arm follows a guide.
         """
-        dt = 1.0 / self.settings.rate
-        self._performance = Performance(self.arm, motion.matched(self.arm).sampled(dt))
+        self._require_no_guide("motion", motion)
+        self._performance = Performance(self.arm, motion.matched(self.arm).sampled(self._period))
         self._target_fault = ""
+
+    def follow(self, guide: Guide) -> None:
+        """Follow a guide from now on, which leads the arm in each cycle; targets that are sent are refused.
+
+        Args:
+            guide: the guide; called in the thread in which the node works.
+        """
+        self._performance = None
+        self._guide = guide
+
+    def _require_no_guide(self, name: str, value: object) -> None:
+        if self._guide is not None:
+            raise InvalidValue(name, value, "none while an operator or another guide leads the arm")
 
     # Clouds.
 
@@ -451,12 +484,17 @@ class Driver:
             self._map = self._new_map()
             self._mapped_until = 0
             self.times.latencies.clear()
-            passed = 1.0 / self.settings.rate
+            passed = self._period
         measured = self._joints.measurement(now)
         self._map_measurement(measured)
         self._pass_clouds_on(now)
         self._run_posted()
+        self._take_cells()
         held = self._reason_to_hold(measured)
+        if self._guide is not None:
+            held = self._guide.lead(
+                self.tracker, self._configuration(measured), self._scene, self._period, held
+            )
         self._step(None if held else measured, passed)
         report = self.tracker.report
         before = self.status
@@ -476,10 +514,22 @@ class Driver:
 
     def _map_measurement(self, measured: JointMeasurement) -> None:
         """Tell the map where the arm is, for clouds of that time."""
-        if measured.positions is not None and measured.stamp > self._mapped_until:
-            positions = self.arm.drives.joint_positions(measured.positions)
-            self._map.measure(self.arm.configuration(positions), measured.stamp / NANOSECONDS)
+        q = self._configuration(measured)
+        if q is not None and measured.stamp > self._mapped_until:
+            self._map.measure(q, measured.stamp / NANOSECONDS)
             self._mapped_until = measured.stamp
+
+    def _configuration(self, measured: JointMeasurement) -> Array | None:
+        """Return the measured configuration, (nq,); None if it cannot be used."""
+        if measured.positions is None:
+            return None
+        return self.arm.configuration(self.arm.drives.joint_positions(measured.positions))
+
+    def _take_cells(self) -> None:
+        """Take what cameras have seen into the scene."""
+        cells = self._map.cells
+        if cells is not self._scene.obstacles[CLOUDS]:
+            self._scene = self._scene.updated({CLOUDS: cells})
 
     def _run_posted(self) -> None:
         while True:
@@ -503,15 +553,11 @@ class Driver:
     def _step(self, measured: JointMeasurement | None, passed: float) -> None:
         """Let the tracker take a step after a time [s]; without a measurement, it brakes and holds."""
         tracker = self.tracker
-        period = 1.0 / self.settings.rate
-        cells = self._map.cells
-        if cells is not self._scene.obstacles[CLOUDS]:
-            self._scene = self._scene.updated({CLOUDS: cells})
         if self._performance is not None:
-            tracker.update(self._performance.advance(tracker.report, period))
+            tracker.update(self._performance.advance(tracker.report, self._period))
         tracker.step(
             None if measured is None else measured.positions,
-            passed if passed < SHORT_CYCLE * period else None,
+            passed if passed < SHORT_CYCLE * self._period else None,
             scene=self._scene,
             torques=None if measured is None else measured.torques,
         )

@@ -252,7 +252,7 @@ class Steering:
         self.limits = limits
         self.scene = scene
         self.reason = ""
-        frame = _entry_frame(fed.axis, np.asarray(arm.model.gravity.linear))
+        frame = entry_frame(fed.axis, np.asarray(arm.model.gravity.linear))
         path = LaidPath(fed.tip - fed.run_up * fed.axis, frame, fed.run_up, fed.max_tip_lead)
         self._posture = _Posture(ClosestPlacement(fed, path), path, 0.0, fed.start, "")
         self._model: CollisionModel | None = None
@@ -318,9 +318,7 @@ class Steering:
             else:
                 self._posture = found
                 self.reason = found.reason
-        velocity = self.arm.difference(before, self.q) / self._dt
-        there = target_at(self.arm.chain_at(self.q), np.ones(self.arm.n_modules))
-        return replace(there, velocity=velocity)
+        return moving_target(self.arm, before, self.q, self._dt)
 
     def _lay(self, distance: float, curvature: Array) -> None:
         """Lay a path from the tip on, and move along it by a distance [m], or less."""
@@ -421,12 +419,7 @@ class Steering:
             return ""
         if self._model is None or self._model.scene is not scene:
             self._model = CollisionModel(self.arm, scene)
-        closest = self._model.minimum(q)
-        if closest.pair is None or closest.distance >= scene.margin:
-            return ""
-        if closest.distance >= self._model.minimum(self.q).distance:
-            return ""  # it comes out of where it is too close
-        return f"{describe_distance(closest.pair, closest.distance)}, less than {length_text(scene.margin)}"
+        return describe_contact(self._model, self.q, q)
 
     def _describe_end(self, distance: float, most: float) -> str:
         """Return why the feed cannot move on."""
@@ -447,7 +440,24 @@ def _through(s: Array, points: Array, tangents: Array) -> Curve:
     return Curve(knots, coefficients, 3)
 
 
-def _entry_frame(axis: Array, gravity: Array) -> Array:
+def describe_contact(model: CollisionModel, before: Array, q: Array) -> str:
+    """Return which pair comes too close in a step between configurations (nq,); empty if none does."""
+    margin = model.scene.margin
+    closest = model.minimum(q)
+    if closest.pair is None or closest.distance >= margin:
+        return ""
+    if closest.distance >= model.minimum(before).distance:
+        return ""  # it comes out of where it is too close
+    return f"{describe_distance(closest.pair, closest.distance)}, less than {length_text(margin)}"
+
+
+def moving_target(arm: Arm, before: Array, q: Array, dt: float) -> Target:
+    """Return the target of a cycle of a duration [s], in which an arm moves on to a configuration (nq,)."""
+    velocity = arm.difference(before, q) / dt
+    return replace(target_at(arm.chain_at(q), np.ones(arm.n_modules)), velocity=velocity)
+
+
+def entry_frame(axis: Array, gravity: Array) -> Array:
     """Return the axes at the entry, (3, 3): columns are ahead, to the left and up.
 
     Args:

@@ -12,14 +12,15 @@ import contextlib
 import hmac
 import io
 import ipaddress
+import itertools
 import logging
 import secrets
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from http import HTTPStatus
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import viser
@@ -27,8 +28,10 @@ import websockets.asyncio.server
 from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 from websockets import Headers, Request, Response
 from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
 
-from pinposture.errors import ViewerError
+from pinposture.errors import PostureError, ViewerError
 
 RESPONSE_HEADERS = {
     "Referrer-Policy": "no-referrer",  # a link must not reveal the address
@@ -55,10 +58,10 @@ window.addEventListener('DOMContentLoaded', () => {
     note.textContent = text;
     document.body.classList.toggle('gone', text !== '');
   };
-  const stopped = 'The editor has stopped: what you see is old. Run "pinposture edit" again and open the '
-    + 'address that it prints.';
-  const moved = 'The editor was started again and has a new address. Open the one that it printed; this page '
-    + 'is not connected to it.';
+  const stopped = '"pinposture VERB" has stopped: what you see is old. Run it again and open the address '
+    + 'that it prints.';
+  const moved = '"pinposture VERB" was started again and has a new address. Open the one that it printed; '
+    + 'this page is not connected to it.';
   const ask = () => fetch(base + 'ALIVE', { cache: 'no-store', signal: AbortSignal.timeout(900) })
     .then((answer) => tell(answer.ok ? '' : moved), () => tell(stopped));
   setInterval(ask, 1000);
@@ -67,6 +70,45 @@ window.addEventListener('DOMContentLoaded', () => {
 """Added to the page: it greys out, and says why, within two seconds after the server has gone."""
 
 _patching = Lock()
+
+
+ALONE = """<!doctype html><html class="alone"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width"><title>pinposture</title>HEAD</head><body></body></html>"""
+"""A page that has nothing but a channel, so that no picture keeps it waiting."""
+
+
+class Channel(NamedTuple):
+    """A connection of the page beside that of viser, for what viser has no messages for.
+
+    Attributes:
+        path: where it is, behind the secret.
+        head: what is added to the head of the page, which opens it: our own HTML, without anything of a user.
+        alone: where a page is, behind the secret, that has nothing else.
+        answer: called with a name of the connection and a message; returns the reply.
+        leave: called with that name when the connection has ended.
+    """
+
+    path: str
+    head: str
+    alone: str
+    answer: Callable[[str, str | bytes], str]
+    leave: Callable[[str], None]
+
+    async def serve(self, connection: ServerConnection, name: str) -> None:
+        """Answer the messages of a connection until it ends; one that is refused ends it."""
+        try:
+            async for message in connection:
+                await connection.send(self.answer(name, message))
+        except PostureError as error:
+            await connection.close(CloseCode.POLICY_VIOLATION, str(error)[:LONGEST_REASON])
+        except ConnectionClosed:
+            pass
+        finally:
+            self.leave(name)
+
+
+LONGEST_REASON = 60
+"""Number of characters of the reason for which a connection is closed: it has room for 123 bytes."""
 
 
 class Entrance:
@@ -120,12 +162,16 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
+def serve(
+    host: str, port: int, verb: str = "edit", channel: Channel | None = None
+) -> tuple[viser.ViserServer, str]:
     """Serve a page, without what viser would print.
 
     Args:
         host: the address to listen at.
         port: the port; the next one that is free if it is taken.
+        verb: the verb of the command that serves it.
+        channel: a further connection of the page; None: there is none.
 
     Returns:
         The server, and the address for browsers on this machine.
@@ -137,7 +183,10 @@ def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
     logging.getLogger("websockets.server").setLevel(logging.WARNING)
     entrance = Entrance(host)
     try:
-        with _guarded_servers(entrance) as guarded, contextlib.redirect_stdout(io.StringIO()):
+        with (
+            _guarded_servers(entrance, WATCH.replace("VERB", verb), channel) as guarded,
+            contextlib.redirect_stdout(io.StringIO()),
+        ):
             server = viser.ViserServer(host=host, port=port, verbose=False)
     except OSError as error:
         raise ViewerError(
@@ -157,35 +206,51 @@ def serve(host: str, port: int) -> tuple[viser.ViserServer, str]:
 
 
 @contextlib.contextmanager
-def _guarded_servers(entrance: Entrance) -> Iterator[list[Entrance]]:
+def _guarded_servers(
+    entrance: Entrance, head: str = "", channel: Channel | None = None
+) -> Iterator[list[Entrance]]:
     """Guard the servers that viser starts meanwhile by an entrance; yields a list with one item for each.
 
     Viser has no option for that. It starts its server by `websockets.asyncio.server.serve`, with a
-    `process_request` that sees each call before it is answered; ours comes before that.
+    `process_request` that sees each call before it is answered; ours comes before that. A channel is served
+    beside the handler of viser.
     """
     guarded: list[Entrance] = []
     plain = websockets.asyncio.server.serve
+    added = head if channel is None else head + channel.head
+    numbers = itertools.count(1)
 
-    def guarding(*given: Any, process_request: Any = None, **named: Any) -> Any:
+    def guarding(handler: Any, *given: Any, process_request: Any = None, **named: Any) -> Any:
         if getattr(process_request, "__module__", "") != "viser.infra._infra":  # from another thread
-            return plain(*given, process_request=process_request, **named)
+            return plain(handler, *given, process_request=process_request, **named)
         guarded.append(entrance)
+
+        async def handle(connection: ServerConnection) -> None:
+            request = connection.request
+            if channel is None or request is None or _path_of(request, entrance) != channel.path:
+                await handler(connection)
+            else:
+                await channel.serve(connection, f"page {next(numbers)}")
 
         def process(connection: ServerConnection, request: Request) -> Response | None:
             reason = entrance.refusal(request.path, request.headers)
             if reason:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"Refused: {reason}.\n")
-            path = request.path.removeprefix(f"/{entrance.secret}") or "/"
+            path = _path_of(request, entrance)
             if path == ALIVE_PATH:
                 response: Response | None = connection.respond(HTTPStatus.OK, "")
+            elif channel is not None and path == channel.alone:
+                response = connection.respond(HTTPStatus.OK, ALONE.replace("HEAD", channel.head))
+                del response.headers["Content-Type"]  # a second value would be added to it
+                response.headers["Content-Type"] = "text/html; charset=utf-8"
             else:
                 response = process_request(connection, _plain_page(replace(request, path=path)))
             if response is not None:
                 response.headers.update(RESPONSE_HEADERS)
-                _watch_server(response)
+                _add_to_head(response, added)
             return response
 
-        return plain(*given, process_request=process, **named)
+        return plain(handle, *given, process_request=process, **named)
 
     with _patching:
         websockets.asyncio.server.serve = guarding  # type: ignore[assignment, misc]
@@ -195,8 +260,13 @@ def _guarded_servers(entrance: Entrance) -> Iterator[list[Entrance]]:
             websockets.asyncio.server.serve = plain  # type: ignore[misc]
 
 
+def _path_of(request: Request, entrance: Entrance) -> str:
+    """Return the path of an admitted request behind the secret."""
+    return request.path.removeprefix(f"/{entrance.secret}") or "/"
+
+
 def _plain_page(request: Request) -> Request:
-    """Return a request for the page as one for its plain text, so that `_watch_server` can add to it."""
+    """Return a request for the page as one for its plain text, so that `_add_to_head` can add to it."""
     if request.path.partition("?")[0] not in ("/", "/index.html"):
         return request
     headers = Headers(request.headers)
@@ -204,11 +274,11 @@ def _plain_page(request: Request) -> Request:
     return replace(request, headers=headers)
 
 
-def _watch_server(response: Response) -> None:
-    """Have a page ask for its server each second, and say so when there is no answer."""
-    head = b"</head>"
-    if response.headers.get("Content-Encoding") == "identity" and head in response.body:
-        response.body = response.body.replace(head, WATCH.encode() + head, 1)
+def _add_to_head(response: Response, added: str) -> None:
+    """Add HTML to the head of a page."""
+    end = b"</head>"
+    if response.headers.get("Content-Encoding") == "identity" and end in response.body:
+        response.body = response.body.replace(end, added.encode() + end, 1)
         del response.headers["Content-Length"]  # a second value would be added to it
         response.headers["Content-Length"] = str(len(response.body))
 

@@ -71,7 +71,7 @@ def test_a_page_whose_server_is_gone_says_so_and_greys_out(browser: Any, file: P
         os.kill(server.pid, signal.SIGKILL)
         server.wait()
         note.wait_for(state="visible")
-        assert note.inner_text().startswith("The editor has stopped")
+        assert note.inner_text().startswith('"pinposture edit" has stopped')
         seen = "getComputedStyle(document.querySelector('#root')).filter"
         assert "grayscale" in window.page.evaluate(seen)
     with served(file, port):

@@ -1,0 +1,196 @@
+"""`pinposture operate`: move an arm by what is held in a page of the browser."""
+
+from __future__ import annotations
+
+import signal
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Event
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pinposture.cli.compile import compile_missing
+from pinposture.cli.drive import DriverOptions, RosArguments, read_limits, spin_node
+from pinposture.cli.edit import PageOptions
+from pinposture.cli.inputs import (
+    ArmOptions,
+    LimitOptions,
+    Panel,
+    SceneOptions,
+    StartOptions,
+    UrdfArgument,
+    read_declared,
+    refuse_given,
+)
+from pinposture.cli.output import examples, print_note
+from pinposture.cli.view import hold_interrupt
+
+if TYPE_CHECKING:
+    from pinposture.collision import Scene
+    from pinposture.control import Limits
+    from pinposture.operate import Operation
+
+SIMULATION = Panel("The simulated arm")
+OPERATED = Panel("The operation")
+RATE = 50.0
+"""Cycles per second of a simulated arm: its loop shares the process with the page."""
+
+
+@dataclass(frozen=True)
+class OperationOptions:
+    """How an arm is operated."""
+
+    ros: Annotated[
+        bool,
+        OPERATED(
+            "Drive a robot on ROS 2, as pinposture drive does, in place of a simulation.", flags="--ros"
+        ),
+    ] = False
+    speed: Annotated[
+        float | None,
+        OPERATED("Full speed of the tip, in m/s; default: 5 % of the length of the arm per second.", "SPEED"),
+    ] = None
+
+
+@dataclass(frozen=True)
+class SimulationOptions:
+    """The simulated arm, if there is one."""
+
+    start: Annotated[
+        str | None, SIMULATION("Where it starts, as in pinposture track; default: at zero.", "START")
+    ] = None
+    frequency: Annotated[str | None, SIMULATION("{sim.Servos.frequency}", "HZ")] = None
+    noise: Annotated[str | None, SIMULATION("{sim.Sensing.noise}", "ANGLE")] = None
+    camera: Annotated[
+        bool,
+        SIMULATION(
+            "A depth camera at the tip: the arm knows obstacles only as far as it sees them.",
+            flags="--camera",
+        ),
+    ] = False
+
+
+@examples(
+    "pinposture operate arm.urdf --scene scene.toml",
+    "pinposture operate arm.urdf --scene scene.toml --camera --frequency 10",
+    "pinposture operate arm.urdf --ros --velocity 0.5",
+    "pinposture operate arm.urdf --ros -- --ros-args -r joint_states:=/arm/joint_states",
+)
+def run(
+    *,
+    urdf: UrdfArgument,
+    ros_args: RosArguments = None,
+    arm_options: ArmOptions,
+    operation_options: OperationOptions,
+    simulation_options: SimulationOptions,
+    limit_options: LimitOptions,
+    scene_options: SceneOptions,
+    page_options: PageOptions,
+) -> None:
+    """Operate an arm live: it moves while a key, a button or a stick is held in the browser, else it holds.
+
+    The page shows the measured arm, the commanded one as a ghost, what cameras have seen, why the arm waits,
+    and what is left of its limits. An arm on a feed is steered by its tip, and the body follows its path;
+    the tip of another one is moved along straight lines. One page has control; others ask it for that.
+
+    Without --ros the arm is simulated by MuJoCo in this process. With it, this is the driver of a robot on
+    ROS 2, and ~/path and ~/posture are refused. Without limits, those of the description apply, else 1 rad/s
+    and 2 rad/s2. It runs until Ctrl-C. docs/operate.md describes all of it.
+    """
+    with hold_interrupt():
+        from pinposture.operate import Control, Operation
+
+    refuse_given({"--dt": limit_options.dt}, "nothing; the rate tells the cycle time")
+    settings = DriverOptions().read()
+    rate = settings.rate if operation_options.ros else RATE
+    arm = arm_options.read(urdf)
+    scene = scene_options.read(arm)
+    limits = read_limits(arm, limit_options, 1.0 / rate)
+    operation = Operation(arm, limits, Control(), operation_options.speed)
+    compile_missing()
+    if operation_options.ros:
+        given = {f"--{name}": value for name, value in vars(simulation_options).items()}
+        refuse_given(given, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
+        _drive(operation, limits, scene, ros_args, page_options)
+    else:
+        refuse_given({"-- ARGUMENTS": ros_args}, "nothing without --ros")
+        _simulate(operation, limits, scene, simulation_options, page_options)
+
+
+@contextmanager
+def _page(operation: Operation, options: PageOptions) -> Iterator[None]:
+    """Show a page while something else is done."""
+    from pinposture.editor.ui.server import is_loopback
+    from pinposture.operate import LivePage
+
+    page = LivePage(operation, options.host, options.port)
+    try:
+        page.start()
+        typer.echo(page.url)
+        if not is_loopback(options.host):
+            print_note(
+                f"listening on {options.host} for other machines, unencrypted: anyone who has the address "
+                "can ask for control of the arm"
+            )
+        print_note("press Ctrl-C to end")
+        if not options.no_browser:
+            webbrowser.open(page.url)
+        yield
+    finally:
+        page.close()
+
+
+def _drive(
+    operation: Operation, limits: Limits, scene: Scene, ros_args: list[str] | None, options: PageOptions
+) -> None:
+    """Drive a robot on ROS 2."""
+    with hold_interrupt():
+        from pinposture.ros2 import Driver, open_node
+
+    with open_node("pinposture", ros_args or ()) as node:
+        with hold_interrupt():
+            driver = Driver(node, operation.arm, limits=limits, scene=scene)
+            driver.follow(operation)
+        with _page(operation, options):
+            spin_node(node, driver)
+        driver.close()
+        print_note(f"{driver.times.cycles} cycles, {driver.times.missed} missed; the arm holds")
+
+
+def _simulate(
+    operation: Operation, limits: Limits, scene: Scene, given: SimulationOptions, options: PageOptions
+) -> None:
+    """Simulate the arm."""
+    from pinposture.arm.mjcf import load_mujoco
+    from pinposture.operate import SimulatedArm
+    from pinposture.sim import DepthCamera, Sensing, Servos
+
+    load_mujoco()
+    arm = operation.arm
+    sensing = {} if given.noise is None else {"noise": given.noise}
+    q0 = None if given.start is None else StartOptions(given.start).read(arm, scene).q
+    with hold_interrupt():
+        simulated = SimulatedArm(
+            arm,
+            operation,
+            limits,
+            scene,
+            servos=read_declared(Servos, {"frequency": given.frequency}),
+            sensing=read_declared(Sensing, sensing),
+            camera=DepthCamera() if given.camera else None,
+            q0=q0,
+            deadline=0.5 / RATE,
+        )
+    stop = Event()
+    before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with _page(operation, options):
+            simulated.run(stop)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+        simulated.close()
+    print_note(f"{simulated.plant.cycles} cycles{simulated.plant.failure and '; ' + simulated.plant.failure}")

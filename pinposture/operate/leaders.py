@@ -1,0 +1,190 @@
+"""How few inputs move a whole arm: its tip is steered along a path that it lays, or moved straight."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.collision import CollisionModel, Scene
+from pinposture.control import Limits
+from pinposture.control.limits import cycle_of
+from pinposture.control.reach import reach_from
+from pinposture.errors import PostureError
+from pinposture.placement.target import Target, arm_axis
+from pinposture.task import Steering
+from pinposture.task.steering import STEERING, describe_contact, entry_frame, moving_target
+
+Array = NDArray[np.float64]
+
+
+class LeaderSettings(NamedTuple):
+    """How far a tip is led in a cycle."""
+
+    bend: float = 0.3
+    """Bend of the longest module at full deflection [rad]. An arm that cannot bend so much bends less. With
+    twice of it, 20 modules of 5 cm turn within 8 cm, less than an operator can aim at; with half of it, they
+    need 33 cm."""
+
+    attempts: int = 4
+    """Halvings of a motion of the tip until joints are within their velocity limits."""
+
+
+LEADERS = LeaderSettings()
+
+
+class Leader(Protocol):
+    """What turns the motion of a tip into postures of the arm, cycle by cycle."""
+
+    @property
+    def q(self) -> Array:
+        """The configuration of the last step, (nq,)."""
+
+    @property
+    def reason(self) -> str:
+        """Why the last step was not as asked for; empty if it was."""
+
+    @property
+    def line(self) -> Array:
+        """Points of the way that the tip was led, (n, 3) [m], world frame; none before it moves."""
+
+    def move(self, velocity: Array, scene: Scene) -> Target:
+        """Move the tip for a cycle.
+
+        Args:
+            velocity: its velocity ahead, to the left and up, (3,) [m/s].
+            scene: what the arm has to keep clear of.
+
+        Returns:
+            The target of this cycle, with its velocity.
+        """
+
+
+class SteeredTip:
+    """Leads an arm on a feed by a `Steering`: ahead and back along the path, left and up bend it.
+
+    Args:
+        arm: the arm.
+        limits: limits of the joints, with the duration of a cycle.
+        start: where the arm is, (nq,): the path begins where it would be straight, with that position of the
+            feed.
+        speed: the full speed [m/s], at which left and up bend the path as much as they can.
+
+    Raises:
+        InvalidValue: not an arm on a feed, or a start that is not straight.
+    """
+
+    def __init__(self, arm: Arm, limits: Limits, start: Array, speed: float) -> None:
+        column = int(arm.chain.columns[0])
+        positions = arm.positions(arm.straight())
+        positions[column] = np.clip(
+            arm.positions(start)[column], arm.limits.lower[column], arm.limits.upper[column]
+        )
+        self._steering = Steering(arm, limits, start=arm.configuration(positions))
+        self._curvature = LEADERS.bend / float(arm.chain.module_lengths.max()) / speed
+
+    @property
+    def q(self) -> Array:
+        """The configuration of the last step, (nq,)."""
+        return self._steering.q
+
+    @property
+    def reason(self) -> str:
+        """Why the last step was not as asked for; empty if it was."""
+        return self._steering.reason
+
+    @property
+    def line(self) -> Array:
+        """Points of the path of the tip, (n, 3) [m], world frame; none before it moves."""
+        if self._steering.depth <= 0.0:
+            return np.zeros((0, 3))
+        path = self._steering.path
+        return np.asarray(path.at(np.linspace(0.0, path.length, 100)))
+
+    def move(self, velocity: Array, scene: Scene) -> Target:
+        """Move the tip for a cycle; see `Leader.move`."""
+        self._steering.scene = scene
+        bend = self._curvature * velocity[1:]
+        return self._steering.step(float(velocity[0]), bend if np.any(bend) else None)
+
+
+class MovedTip:
+    """Leads an arm by its tip, along straight lines; the joints move as little as they can.
+
+    It stands where an obstacle would come too close to any part of the arm, and does not give way to it.
+
+    Ahead is the direction in which the straight arm points, up is opposite to gravity.
+
+    Attributes:
+        q: the configuration of the last step, (nq,).
+        reason: why the last step was not as asked for; empty if it was.
+
+    Args:
+        arm: the arm.
+        limits: limits of the joints, with the duration of a cycle.
+        start: where the arm is, (nq,).
+    """
+
+    def __init__(self, arm: Arm, limits: Limits, start: Array) -> None:
+        self.q = arm.checked(start, "start")
+        self.reason = ""
+        self._arm = arm
+        self._limits = limits
+        self._dt = cycle_of(limits)
+        self._frame = entry_frame(arm_axis(arm), np.asarray(arm.model.gravity.linear))
+        self._line: list[Array] = []
+
+    @property
+    def line(self) -> Array:
+        """Points of the way of the tip, (n, 3) [m], world frame; none before it moves."""
+        return np.array(self._line).reshape(-1, 3)
+
+    def move(self, velocity: Array, scene: Scene) -> Target:
+        """Move the tip for a cycle; see `Leader.move`.
+
+        Where it cannot go, it goes as far as it can in one of the directions that are asked for.
+        """
+        before = self.q
+        self.reason = ""
+        parts = [velocity]
+        if np.count_nonzero(velocity) > 1:
+            parts += [part for part in np.diag(velocity) if np.any(part)]
+        failed = ""
+        for part in parts if np.any(velocity) else []:
+            found = self._found(part, scene)
+            if not isinstance(found, str):
+                self.q = found
+                self.reason = failed and f"moves in one direction only: {failed}"
+                break
+            failed = failed or found
+            self.reason = f"stands: {failed}"
+        return moving_target(self._arm, before, self.q, self._dt)
+
+    def _found(self, velocity: Array, scene: Scene) -> Array | str:
+        """Return the configuration after the tip has moved, (nq,), or why there is none."""
+        arm = self._arm
+        tip = arm.chain_at(self.q).points[-1]
+        bounds = STEERING.speed_share * self._limits.for_arm(arm).bound
+        shift = self._dt * (self._frame @ velocity)
+        for _ in range(LEADERS.attempts):
+            try:  # without obstacles: to push the arm clear of them can take several cycles
+                found = reach_from(arm, tip + shift, self.q, limits=self._limits)
+            except PostureError as error:
+                return str(error)
+            if found is None:
+                return "joint limits keep the tip from there"
+            if np.all(np.abs(arm.difference(self.q, found.q)) <= bounds):
+                contact = describe_contact(CollisionModel(arm, scene), self.q, found.q)
+                return contact or found.q
+            shift = 0.5 * shift
+        return "joints would have to be faster than their velocity limits"
+
+
+def leader_of(arm: Arm, limits: Limits, start: Array, speed: float) -> tuple[Leader, str]:
+    """Return what leads an arm from a configuration (nq,) at a full speed [m/s], and how it is led."""
+    try:
+        return SteeredTip(arm, limits, start, speed), "steered: the body follows the path of the tip"
+    except PostureError:
+        return MovedTip(arm, limits, start), "the tip is moved along straight lines"

@@ -1,0 +1,153 @@
+"""A simulated arm that operators move, in this process: servos, encoders, a camera at its tip."""
+
+from __future__ import annotations
+
+import time
+from math import inf
+from threading import Event
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture.arm import Arm
+from pinposture.collision import Map, Mounting, Scene
+from pinposture.collision.model import effective_scene
+from pinposture.control import Limits
+from pinposture.control.limits import cycle_of
+from pinposture.motion import Tracker
+from pinposture.motion.latest import Latest
+from pinposture.operate.operation import Operation
+from pinposture.ros2.driver import CELL, CLOUDS
+from pinposture.sim.camera import DepthCamera, TipCamera
+from pinposture.sim.model import Servos, build_plant_model
+from pinposture.sim.plant import Plant, Sensing, Sensors
+
+Array = NDArray[np.float64]
+
+PICTURE_PERIOD = 0.2
+"""Time between two pictures of the camera [s]."""
+
+MOST_BEHIND = 0.2
+"""Time by which the simulation may be late before it gives up to make it good [s]."""
+
+
+class Picture(NamedTuple):
+    """What the camera is to take.
+
+    Attributes:
+        q: the configuration, (nq,).
+        time: when [s].
+    """
+
+    q: Array
+    time: float
+
+
+class SimulatedArm:
+    """An arm in MuJoCo, and the control loop that moves it by an `Operation`.
+
+    Without a camera the arm keeps clear of the obstacles of the scene. With one it does not know them: it
+    keeps clear of what it sees of them, in a `Map`.
+
+    Attributes:
+        plant: the simulation.
+        tracker: what computes the steps.
+        scene: what the arm keeps clear of.
+
+    Args:
+        arm: the arm.
+        operation: what leads it.
+        limits: the limits of the motion; `dt` is required.
+        scene: the obstacles; None: none.
+        servos: the servos; None: `Servos()`.
+        sensing: the joint sensors; None: ideal ones.
+        camera: the depth camera at the tip; None: there is none.
+        q0: where it starts, (nq,), at rest; None: at its neutral configuration.
+        deadline: as for `Tracker` [s].
+
+    Raises:
+        MujocoMissing: MuJoCo is not installed.
+        PostureError: the arm cannot be simulated, as `build_plant_model` says, or q0 is invalid.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        operation: Operation,
+        limits: Limits,
+        scene: Scene | None = None,
+        *,
+        servos: Servos | None = None,
+        sensing: Sensing | None = None,
+        camera: DepthCamera | None = None,
+        q0: ArrayLike | None = None,
+        deadline: float = inf,
+    ) -> None:
+        self._arm = arm
+        self._operation = operation
+        start = arm.checked_start(arm.neutral() if q0 is None else q0, "q0")
+        self._sent = arm.drives.positions(arm.positions(start))
+        self.plant = Plant(build_plant_model(arm, servos), self._sent, cycle_of(limits))
+        self._sensors = Sensors(Sensing() if sensing is None else sensing)
+        known = effective_scene(arm, scene)
+        self._camera = None
+        if camera is not None:
+            self._camera = TipCamera(arm, known, camera)
+            self._map = Map(CELL * arm.length, arm)
+            known = known.with_obstacles({CLOUDS: self._map.cells})
+        self.scene = known
+        self.tracker = Tracker(arm, limits=limits, scene=known, deadline=deadline)
+        self._looking: Latest[Picture, None] = Latest(self._look, "pinposture-camera")
+        self._pictures = 0
+
+    @property
+    def time(self) -> float:
+        """Time of the simulation [s]."""
+        return self.plant.cycles * self.plant.dt
+
+    def cycle(self) -> bool:
+        """Measure, let the tracker take a step, and simulate a cycle; return False if the arm runs away."""
+        arm = self._arm
+        names = arm.drives.names
+        read = self._sensors.measure(self.plant.positions)
+        measured = None if read is None else dict(zip(names, read.tolist(), strict=True))
+        q = None if measured is None else arm.configuration(arm.drives.joint_positions(measured))
+        self._see(q)
+        hold = self._operation.lead(self.tracker, q, self.scene, self.plant.dt)
+        self.tracker.step(None if hold else measured, scene=self.scene)
+        if self._operation.shown.commanded is not None or not hold:
+            self._sent = self.tracker.positions
+        return self.plant.advance(self._sent)
+
+    def run(self, stop: Event) -> None:
+        """Go on in real time until it is stopped, or the arm runs away."""
+        begun = time.monotonic() - self.time
+        while not stop.is_set() and self.cycle():
+            late = time.monotonic() - begun - self.time
+            if late < 0.0:
+                stop.wait(-late)
+            elif late > MOST_BEHIND:
+                begun += late
+
+    def close(self) -> None:
+        """End the thread of the camera."""
+        self._looking.close()
+
+    def _see(self, q: Array | None) -> None:
+        """Have a picture taken, if it is time, and take what was seen into the scene."""
+        if self._camera is None or q is None:
+            return
+        self._map.measure(q, self.time + self.plant.dt)
+        if self.time >= self._pictures * PICTURE_PERIOD:
+            self._pictures = int(self.time / PICTURE_PERIOD) + 1
+            self._looking.ask(Picture(q, self.time + self.plant.dt))
+        if self._map.cells is not self.scene.obstacles[CLOUDS]:
+            self.scene = self.scene.updated({CLOUDS: self._map.cells})
+
+    def _look(self, picture: Picture, outdated: Event) -> None:
+        """Take a picture, and add it to the map. Runs in a thread."""
+        if self._camera is not None:
+            points = self._camera.look(picture.q)
+            self._map.add_cloud(points, Mounting(self._arm.tip, pin.SE3.Identity()), picture.time, picture.q)
