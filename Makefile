@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 export MPLBACKEND := Agg
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all test-rest mutation lint edit docs pictures urdf bench study reproduce score clean
+.PHONY: demo test test-all test-rest mutation lint edit station docs pictures urdf bench study reproduce score clean
 
 demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
@@ -38,6 +38,16 @@ lint: $(VENV)/lint.stamp
 TASK ?= examples/tasks/keyframes.toml
 edit: $(VENV)/editor.stamp
 	$(RUN) -m pinposture edit $(TASK)
+
+# A simulated robot on ROS 2, its driver and the page of an operator, without an installation of ROS; Ctrl-C ends it.
+STATION := out/station/arm.urdf
+station: $(VENV)/ros2,sim,editor.stamp
+	mkdir -p $(dir $(STATION))
+	$(RUN) -m pinposture generate RyRz --modules 20 --feed 1.2 -o $(STATION)
+	export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST; \
+	$(RUN) -m pinposture robot $(STATION) --scene examples/hole.toml --camera --start $$(printf '0,%.0s' $$(seq 40))0 & \
+	robot=$$!; trap 'kill $$robot' EXIT INT TERM; \
+	$(RUN) -m pinposture operate $(STATION) --ros
 
 # The documentation site, into build/site; a test builds it, too, and checks its links.
 docs: $(VENV)/docs.stamp

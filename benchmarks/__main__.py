@@ -29,6 +29,7 @@ SCRIPTS = (
     "coupled_joints",
     "drives",
     "editor",
+    "holding",
     "identification",
     "mapping",
     "moving_obstacles",

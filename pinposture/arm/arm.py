@@ -628,6 +628,15 @@ class Arm(ConfigurationSpace):
         slides[self.columns] = ~self.chain.revolute[self.chain.leaders]
         return slides
 
+    @property
+    def travel(self) -> float:
+        """How far slides can carry the tip from where it is with all of them at zero [m]; 0 without slides.
+
+        Infinite if a slide has no limits.
+        """
+        slides = self.slides
+        return float(np.maximum(np.abs(self.limits.lower[slides]), np.abs(self.limits.upper[slides])).sum())
+
     @cached_property
     def in_metres(self) -> NDArray[np.bool_]:
         """True for each sliding degree of freedom, on the chain or off it, (nv,)."""

@@ -84,6 +84,13 @@ class FeedSpec(Declared):
     length: AnyLength | None = None
     speed: Speed = 0.1
 
+    def before(self, module: ModuleTemplate) -> ModuleTemplate:
+        """Return the slide as a module, for an arm of modules of a kind."""
+        length = module.length if self.length is None else self.length
+        with _named("feed"):
+            slide = JointSpec("x", "prismatic", 0.0, self.stroke, velocity=self.speed)
+            return ModuleTemplate("Feed", (slide,), (length,), module.radius)
+
 
 Split: TypeAlias = "int | tuple[int, ...] | tuple[str, ...]"
 """How to split a chain: joints per module, one number for all or one each, or links where modules end."""
@@ -301,12 +308,7 @@ class ArmSpec(Declared):
                 module = module.with_limits(*self.joint_limits)
         require_whole("modules", self.modules, 1, MOST_MOVING)
         modules = [module] * self.modules
-        if self.feed is None:
-            return modules
-        length = module.length if self.feed.length is None else self.feed.length
-        with _named("feed"):
-            slide = JointSpec("x", "prismatic", 0.0, self.feed.stroke, velocity=self.feed.speed)
-            return [ModuleTemplate("Feed", (slide,), (length,), module.radius), *modules]
+        return modules if self.feed is None else [self.feed.before(module), *modules]
 
 
 @contextmanager

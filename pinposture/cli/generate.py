@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pinposture.cli.inputs import ARM, OUTPUT, JsonOption, read_numbers
+from pinposture.cli.inputs import ARM, OUTPUT, JsonOption, read_declared, read_numbers
 from pinposture.cli.output import examples, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
 from pinposture.units import length_text
@@ -20,6 +20,7 @@ MOST_MODULES = 10_000
     "pinposture generate --list",
     "pinposture generate RyRz --modules 20 -o arm.urdf",
     "pinposture generate RyRz --modules 12 --link-lengths 0.03,0.02 -o long.urdf",
+    "pinposture generate RyRz --modules 20 --feed 1.2 -o fed.urdf",
     "pinposture generate Rz --modules 30 | pinposture inspect -",
 )
 def run(
@@ -33,6 +34,12 @@ def run(
         str | None,
         ARM("Length of the link after each joint of a module, in metres. Default: the template's.", "L,..."),
     ] = None,
+    feed: Annotated[
+        str | None,
+        ARM(
+            "Stroke of a slide at the base, which feeds the arm along its axis. Default: no slide.", "LENGTH"
+        ),
+    ] = None,
     output: Annotated[Path | None, OUTPUT("Output file, else stdout.", "FILE", flags="--output -o")] = None,
     as_json: JsonOption = False,
     list_templates: Annotated[bool, typer.Option("--list", help="List the templates and stop.")] = False,
@@ -43,6 +50,7 @@ def run(
     along x; its links are "base", "m01_l1", "m01_l2" and so on, and "tip".
     """
     from pinposture.arm import template as template_named
+    from pinposture.arm.specification import FeedSpec
     from pinposture.arm.template import modules_to_urdf
     from pinposture.storage import write_text
 
@@ -56,11 +64,14 @@ def run(
         raise InvalidValue("--modules", modules, f"a whole number from 1 to {MOST_MODULES}")
     if link_lengths is not None:
         module = module.with_lengths(read_numbers("--link-lengths", link_lengths))
-    text = modules_to_urdf([module] * modules, f"{module.name}_{modules}", "pinposture generate")
+    chain = [module] * modules
+    if feed is not None:
+        chain.insert(0, read_declared(FeedSpec, {"stroke": feed}).before(module))
+    text = modules_to_urdf(chain, f"{module.name}_{modules}", "pinposture generate")
     if output is not None:
         write_text(output, text)
-    dof = modules * module.dof
-    length = modules * module.length - module.lead
+    dof = sum(each.dof for each in chain)
+    length = sum(each.length for each in chain) - chain[0].lead
     if as_json:
         file = None if output is None else str(output)
         print_json({"file": file, "template": template, "modules": modules, "dof": dof, "length": length})

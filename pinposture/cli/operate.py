@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pinposture.cli.compile import compile_missing
-from pinposture.cli.drive import DriverOptions, RosArguments, read_limits, spin_node
+from pinposture.cli.drive import RosArguments, read_limits, spin_node
 from pinposture.cli.edit import PageOptions
 from pinposture.cli.inputs import (
     ArmOptions,
@@ -36,7 +37,10 @@ if TYPE_CHECKING:
 SIMULATION = Panel("The simulated arm")
 OPERATED = Panel("The operation")
 RATE = 50.0
-"""Cycles per second of a simulated arm: its loop shares the process with the page."""
+"""Cycles per second: the loop shares the process with the page."""
+
+SWITCH_INTERVAL = 0.001
+"""Longest time for which the page keeps the loop waiting for the interpreter, several times a cycle [s]."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +108,10 @@ def run(
         from pinposture.operate import Control, Operation
 
     refuse_given({"--dt": limit_options.dt}, "nothing; the rate tells the cycle time")
-    settings = DriverOptions().read()
-    rate = settings.rate if operation_options.ros else RATE
     arm = arm_options.read(urdf)
     scene = scene_options.read(arm)
-    limits = read_limits(arm, limit_options, 1.0 / rate)
+    limits = read_limits(arm, limit_options, 1.0 / RATE)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     operation = Operation(arm, limits, Control(), operation_options.speed)
     compile_missing()
     if operation_options.ros:
@@ -148,11 +151,11 @@ def _drive(
 ) -> None:
     """Drive a robot on ROS 2."""
     with hold_interrupt():
-        from pinposture.ros2 import Driver, open_node
+        from pinposture.ros2 import Driver, DriverSettings, open_node
 
     with open_node("pinposture", ros_args or ()) as node:
         with hold_interrupt():
-            driver = Driver(node, operation.arm, limits=limits, scene=scene)
+            driver = Driver(node, operation.arm, DriverSettings(rate=RATE), limits=limits, scene=scene)
             driver.follow(operation)
         with _page(operation, options):
             spin_node(node, driver)

@@ -130,8 +130,8 @@ class Map:
         resolution: edge length of a cell [m].
         arm: the arm whose points are left out; None: none.
         center: middle of the grid, (3,) [m], world frame; None: the base of the arm, or the origin.
-        reach: half the edge length of the grid [m]; None: 1.2 lengths of the arm. At least as much is taken
-            as gives whole blocks of 8 cells.
+        reach: half the edge length of the grid [m]; None: 1.2 lengths of the arm, and as much of the travel
+            of its slides, if that has limits. At least as much is taken as gives whole blocks of 8 cells.
         own_margin: distance from the measured arm within which points are its own [m]: noise of the sensor,
             and errors of the measured posture and of the shape of the arm. None: a cell.
         forget: time constant with which evidence decays [s]; infinite: nothing is forgotten.
@@ -179,7 +179,7 @@ class Map:
         if reach is None:
             if arm is None:
                 raise InvalidValue("reach", None, "half the width of the map [m], for a map without an arm")
-            reach = REACH * arm.length
+            reach = REACH * (arm.length + (arm.travel if math.isfinite(arm.travel) else 0.0))
         self.reach = length("reach", reach)
         self._grid = self._make_grid()
         self._own = None if arm is None else _OwnBodies(arm, self.own_margin, MOUNT * self.resolution)

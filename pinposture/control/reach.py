@@ -317,10 +317,8 @@ def _place_of(task: EndEffector) -> Array:
 def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) -> None:
     """Raise OutOfReach for a goal that is farther from the base than the arm is long, by a tolerance [m]."""
     place = _place_of(task)
-    slides = arm.columns[arm.slides[arm.columns]]
-    travel = np.maximum(np.abs(arm.limits.lower[slides]), np.abs(arm.limits.upper[slides])).sum()
     away = float(np.linalg.norm(place - arm.chain.base))
-    most = arm.length + float(travel)
+    most = arm.length + arm.travel
     if away > most + max(tolerance, TIP_TOLERANCE * arm.length):
         advice = "is it in millimetres, not metres?" if away > 100.0 * most else "choose a nearer one"
         base = ", ".join(f"{each:.4g}" for each in arm.chain.base)

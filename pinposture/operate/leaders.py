@@ -29,14 +29,28 @@ class LeaderSettings(NamedTuple):
     need 33 cm."""
 
     attempts: int = 4
-    """Halvings of a motion of the tip until joints are within their velocity limits."""
+    """Halvings of a motion of the tip until joints are within their velocity limits. With 2 to 6, straight
+    arms of 6 and of 20 modules came back equally fast."""
+
+    easing: float = 0.1
+    """Shortest time from rest to full speed [s]."""
+
+    nudge: float = 0.01
+    """Bend of each joint, in `Arm.joint_units`, from which a posture is sought where there is none from the
+    present one: a straight arm cannot tell to which side it is to bend."""
 
 
 LEADERS = LeaderSettings()
 
 
 class Leader(Protocol):
-    """What turns the motion of a tip into postures of the arm, cycle by cycle."""
+    """What turns the motion of a tip into postures of the arm, cycle by cycle.
+
+    Attributes:
+        acceleration: how fast the speed of the tip may change [m/s^2].
+    """
+
+    acceleration: float
 
     @property
     def q(self) -> Array:
@@ -65,6 +79,9 @@ class Leader(Protocol):
 class SteeredTip:
     """Leads an arm on a feed by a `Steering`: ahead and back along the path, left and up bend it.
 
+    Attributes:
+        acceleration: how fast the speed may change, so that the feed follows [m/s^2].
+
     Args:
         arm: the arm.
         limits: limits of the joints, with the duration of a cycle.
@@ -83,6 +100,11 @@ class SteeredTip:
             arm.positions(start)[column], arm.limits.lower[column], arm.limits.upper[column]
         )
         self._steering = Steering(arm, limits, start=arm.configuration(positions))
+        self.acceleration = speed / LEADERS.easing
+        most = limits.for_arm(arm).acceleration
+        if most is not None:
+            allowed = STEERING.speed_share * float(most[column]) / cycle_of(limits) ** 2
+            self.acceleration = min(self.acceleration, allowed)
         self._curvature = LEADERS.bend / float(arm.chain.module_lengths.max()) / speed
 
     @property
@@ -120,14 +142,17 @@ class MovedTip:
     Attributes:
         q: the configuration of the last step, (nq,).
         reason: why the last step was not as asked for; empty if it was.
+        acceleration: how fast the speed may change [m/s^2].
 
     Args:
         arm: the arm.
         limits: limits of the joints, with the duration of a cycle.
         start: where the arm is, (nq,).
+        speed: the full speed [m/s].
     """
 
-    def __init__(self, arm: Arm, limits: Limits, start: Array) -> None:
+    def __init__(self, arm: Arm, limits: Limits, start: Array, speed: float) -> None:
+        self.acceleration = speed / LEADERS.easing
         self.q = arm.checked(start, "start")
         self.reason = ""
         self._arm = arm
@@ -162,6 +187,13 @@ class MovedTip:
             self.reason = f"stands: {failed}"
         return moving_target(self._arm, before, self.q, self._dt)
 
+    def _bent(self) -> Array:
+        """Return the present posture, bent a little more, (nq,)."""
+        arm = self._arm
+        bends = np.where(arm.slides, 0.0, LEADERS.nudge * arm.joint_units)
+        positions = np.clip(arm.positions(self.q) + bends, arm.limits.lower, arm.limits.upper)
+        return arm.configuration(positions)
+
     def _found(self, velocity: Array, scene: Scene) -> Array | str:
         """Return the configuration after the tip has moved, (nq,), or why there is none."""
         arm = self._arm
@@ -171,10 +203,11 @@ class MovedTip:
         for _ in range(LEADERS.attempts):
             try:  # without obstacles: to push the arm clear of them can take several cycles
                 found = reach_from(arm, tip + shift, self.q, limits=self._limits)
+                found = found or reach_from(arm, tip + shift, self._bent(), limits=self._limits)
             except PostureError as error:
                 return str(error)
             if found is None:
-                return "joint limits keep the tip from there"
+                return "no posture is found with the tip there"
             if np.all(np.abs(arm.difference(self.q, found.q)) <= bounds):
                 contact = describe_contact(CollisionModel(arm, scene), self.q, found.q)
                 return contact or found.q
@@ -187,4 +220,4 @@ def leader_of(arm: Arm, limits: Limits, start: Array, speed: float) -> tuple[Lea
     try:
         return SteeredTip(arm, limits, start, speed), "steered: the body follows the path of the tip"
     except PostureError:
-        return MovedTip(arm, limits, start), "the tip is moved along straight lines"
+        return MovedTip(arm, limits, start, speed), "the tip is moved along straight lines"

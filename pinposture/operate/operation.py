@@ -21,7 +21,7 @@ from pinposture.motion import Report, Tracker
 from pinposture.operate.control import Control, Order
 from pinposture.operate.leaders import Leader, leader_of
 from pinposture.placement.target import target_at
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -31,9 +31,6 @@ class OperationSettings(NamedTuple):
 
     speed: float = 0.05
     """Full speed of the tip, unless it is given, in arm lengths per second."""
-
-    easing: float = 0.1
-    """Time from rest to full speed, and back [s]; how long the tip runs on after a release."""
 
     start: float = 0.01
     """Mean distance of the control points from the start of the leader at which it begins, in arm lengths."""
@@ -80,8 +77,8 @@ class Operation:
         tracker.step(None if hold else q_measured, dt, scene=scene)
 
     At first the arm goes to where its leader begins: an arm on a feed becomes straight, another one stays.
-    Nothing moves unless it is held, this included. After a release the tip is braked along its way within
-    `OperationSettings.easing`, and then the arm holds.
+    Nothing moves unless it is held, this included. After a release the tip is braked along its way, as
+    its leader allows, and then the arm holds.
 
     Attributes:
         arm: the arm.
@@ -219,8 +216,8 @@ class Operation:
         """Bring the velocity of the tip, (3,) [m/s], towards what is wanted, in a cycle of a duration [s]."""
         change = wanted - self._velocity
         size = float(np.linalg.norm(change))
-        most = self._speed * dt / OPERATION.easing
-        self._velocity = wanted if size <= most else self._velocity + most / size * change
+        most = dt * cast(Leader, self._leader).acceleration
+        self._velocity = wanted if size <= most * (1.0 + ROUNDING) else self._velocity + most / size * change
 
     def _set_limits(self, tracker: Tracker, order: Order | None) -> None:
         """Slow the tracker down by the override on its way to the start; the leader slows the tip later."""

@@ -92,7 +92,7 @@ def margins_of(arm: Arm, q: Array, scene: Scene) -> list[Margin]:
     if len(turning):
         room = np.clip(room_to_limits(arm, q)[turning], 0.0, 1.0)
         joint = int(room.argmin())
-        text = f"{arm.joint_names[turning[joint]]} has {100.0 * room[joint]:.0f} % of its half range"
+        text = f"{arm.joint_names[turning[joint]]} has {100.0 * room[joint]:.0f} % of its half range left"
         found.append(Margin("joint limits", float(room[joint]), text))
     closest = CollisionModel(arm, scene).minimum(q)
     if closest.pair is not None:

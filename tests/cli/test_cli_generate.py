@@ -38,6 +38,17 @@ def test_the_json_summary_agrees_with_what_loads(command, tmp_path, template):
     assert summary["length"] == pytest.approx(arm.length, rel=1e-12)
 
 
+def test_an_arm_on_a_feed_can_be_steered(command, tmp_path):
+    file = tmp_path / "fed.urdf"
+    made = command("generate", "RyRz", "-n", 3, "--feed", "400 mm", "-o", file, "--json")
+    arm = pp.Arm.load(file)
+    summary = json.loads(made.out)
+    assert (summary["dof"], summary["length"]) == (arm.nv, pytest.approx(arm.length))
+    assert arm.limits.upper[0] == 0.4
+    pp.Steering(arm, pp.Limits(dt=0.1)).step(0.01)
+    assert command("generate", "RyRz", "-n", 3, "--feed", "0").code == 2
+
+
 def test_json_without_a_file_writes_none(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert json.loads(command("generate", "RyRz", "--modules", 2, "--json").out)["file"] is None

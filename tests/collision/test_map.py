@@ -209,6 +209,13 @@ def neighbours(cell: int) -> list[int]:
     return [(i * COUNT + j) * COUNT + k for i, j, k in beside if min(i, j, k) >= 0 and max(i, j, k) < COUNT]
 
 
+def test_a_map_of_an_arm_on_a_feed_reaches_as_far_as_the_arm_does():
+    slide = pp.JointSpec("x", type="prismatic", lower=-0.1, upper=0.8)
+    feed = pp.ModuleTemplate("Feed", joints=(slide,), link_lengths=(0.05,))
+    arm = pp.Arm.from_modules([feed, *[pp.template("RyRz")] * 2])
+    assert Map(0.1, arm).reach == pytest.approx(1.2 * (0.15 + 0.8))
+
+
 @pytest.mark.parametrize("unknown", ["free", "forbidden"])
 def test_cells_to_keep_clear_of_are_those_with_a_face_that_can_be_reached(unknown):
     rng = np.random.default_rng(7)

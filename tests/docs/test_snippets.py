@@ -33,6 +33,7 @@ PAGES = (
         "robot.md",
     ),
     "streaming.md",
+    "operate.md",
     "your_own_controller.md",
     "evidence.md",
     *(f"design/{page.name}" for page in sorted(DOCS.glob("design/*.md"))),

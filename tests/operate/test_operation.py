@@ -86,7 +86,7 @@ def test_the_arm_brakes_within_a_tenth_of_a_second(how: str) -> None:
         desk.control.leave("page")
     measured = desk.q
     if how == "no measurement":
-        for _ in range(20):
+        for _ in range(35):
             desk.now += DT
             desk.hold((1.0, 0.4, 0.0))
             hold = desk.operation.lead(desk.tracker, None, desk.scene, DT)
@@ -95,12 +95,12 @@ def test_the_arm_brakes_within_a_tenth_of_a_second(how: str) -> None:
             desk.speeds.append(float(np.abs(desk.arm.difference(desk.q, measured)).max()) / DT)
             desk.q = measured
     else:
-        desk.run(0.4, lambda: desk.tell(do="release") if how == "release" else None)
+        desk.run(0.7, lambda: desk.tell(do="release") if how == "release" else None)
     speeds = np.array(desk.speeds[before - 1 :])
     braking = int(np.flatnonzero(speeds < 0.98 * speeds[0])[0])
     assert braking * DT <= WITHIN + 1e-9
     assert np.all(np.diff(speeds[braking:]) <= 1e-9)  # and goes on to brake
-    assert np.all(speeds[round(0.3 / DT) :] == 0.0)
+    assert np.all(speeds[round(0.5 / DT) :] == 0.0)
     assert desk.operation.shown.mode == "holds"
 
 
@@ -153,6 +153,8 @@ def test_an_arm_without_a_feed_goes_where_it_still_can_and_says_why() -> None:
     desk.run(0.5, lambda: desk.hold((1.0, 0.0, 0.0)))
     assert max(desk.speeds) == 0.0
     assert desk.operation.shown.reason.startswith("stands: the tip cannot reach")
+    desk.run(0.5, lambda: desk.hold((-1.0, 0.0, 0.0)))  # it is straight, where no joint leads back
+    assert desk.tip[0] < arm.length * 0.99
     bent = Desk(*bent_arm())
     wall = pp.Box(tuple(bent.tip + [0.03, 0.056, 0.0]), (0.1, 0.04, 0.4))
     bent.scene = pp.Scene({"wall": wall}, margin=0.005)

@@ -1,0 +1,142 @@
+"""How soon an operated arm brakes after its operator lets go, or the page is gone.
+
+    python -m benchmarks.studies.holding                  # 20 trials of each, some three minutes
+    python -m benchmarks.studies.holding --trials 3
+
+A simulated arm of 20 modules on a feed, its control loop at 50 Hz and the server of the page run in this
+process, as in `pinposture operate`. A page that another process stands for holds "ahead" for a second; then
+it tells of the release, falls silent, or is closed. Told are the times from its last message, or from the
+end of its connection, to the end of the first cycle that moves the feed by less than 98 % of the one before,
+and to the first one that does not move it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import time
+from threading import Event, Thread
+from typing import Any
+
+import numpy as np
+
+import pinposture as pp
+from pinposture.operate import Control, LivePage, Operation, SimulatedArm
+from pinposture.ros2.driver import usual_limits
+
+DT = 0.02
+HELD = 1.0
+"""Time for which it is held [s]."""
+
+WAYS = ("release", "silence", "closed")
+
+
+class RecordedArm(SimulatedArm):
+    """A simulated arm that records when it moved its feed, and by how much."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.times: list[float] = []
+        self.steps: list[float] = []
+
+    def cycle(self) -> bool:
+        """Make a cycle, and record it."""
+        before = self._sent[0]
+        goes_on = super().cycle()
+        self.times.append(time.monotonic())
+        self.steps.append(abs(float(self._sent[0] - before)))
+        return goes_on
+
+
+def hold_often(url: str, asked: Any, told: Any) -> None:
+    """Hold for a while in each way that is asked for, until None is; tell when it ended [s]."""
+    while (way := asked.get()) is not None:
+        hold(url, way, told)
+
+
+def hold(url: str, way: str, told: Any) -> None:
+    """Hold for a while, as a page does, and end that in a way; tell when [s]."""
+    from websockets.sync.client import connect
+
+    with connect(url.replace("http", "ws", 1) + "/control") as page:
+
+        def tell(message: str) -> None:
+            page.send(message)
+            page.recv()
+
+        tell('{"do": "ask"}')
+        tell('{"do": "release"}')
+        last = begun = time.monotonic()
+        while last < begun + HELD:
+            time.sleep(0.02)
+            last = time.monotonic()
+            tell('{"do": "hold", "ahead": 1, "left": 0, "up": 0, "override": 1}')
+        if way == "release":
+            last = time.monotonic()
+            tell('{"do": "release"}')
+        if way != "closed":
+            told.put(last)
+            time.sleep(1.0)
+            return
+    told.put(time.monotonic())
+
+
+def main() -> None:
+    """Run the trials, and print the times."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--trials", type=int, default=20)
+    trials = parser.parse_args().trials
+    slide = pp.JointSpec("x", type="prismatic", lower=0.0, upper=8.0, velocity=0.1)
+    feed = pp.ModuleTemplate("Feed", joints=(slide,), link_lengths=(0.05,))
+    arm = pp.Arm.from_modules([feed, *[pp.template("RyRz")] * 20])
+    limits = usual_limits(arm, DT)
+    operation = Operation(arm, limits, Control())
+    simulated = RecordedArm(arm, operation, limits, deadline=0.5 * DT)
+    page = LivePage(operation)
+    page.start()
+    stop = Event()
+    loop = Thread(target=simulated.run, args=(stop,))
+    loop.start()
+    context = multiprocessing.get_context("spawn")
+    asked = context.Queue()
+    told = context.Queue()
+    other = context.Process(target=hold_often, args=(page.url, asked, told))
+    other.start()
+    for way in WAYS:
+        found = []
+        for _ in range(trials):
+            simulated.times.clear()
+            simulated.steps.clear()
+            asked.put(way)
+            last = told.get()
+            time.sleep(1.5)
+            found.append(times_after(np.array(simulated.times), np.array(simulated.steps), last))
+        print_times(way, np.array(found))
+    asked.put(None)
+    other.join()
+    stop.set()
+    loop.join()
+    print(f"{simulated.plant.cycles} cycles, {simulated.tracker.overruns} of them too long")
+    simulated.close()
+    page.close()
+
+
+def times_after(times: Any, steps: Any, last: float) -> tuple[float, float]:
+    """Return how long after a time the arm brakes, and rests [s]."""
+    if len(times) < 2 or times[-1] < last:
+        raise SystemExit("the loop stands")
+    full = np.median(steps[(times > last - 0.4) & (times <= last)])
+    later = times > last
+    braking = times[later & (steps < 0.98 * full)][0]
+    resting = times[later & (steps == 0.0)][0]
+    return braking - last, resting - last
+
+
+def print_times(way: str, found: Any) -> None:
+    """Print the times of trials, (n, 2) [s]."""
+    for name, column in zip(("brakes", "rests"), 1e3 * found.T, strict=True):
+        print(f"{way:8} {name} after {np.median(column):.0f} ms (median), {column.max():.0f} ms (most)")
+
+
+if __name__ == "__main__":
+    main()
