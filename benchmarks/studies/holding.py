@@ -4,7 +4,7 @@
     python -m benchmarks.studies.holding --trials 3
 
 A simulated arm of 20 modules on a feed, its control loop at 50 Hz and the server of the page run in this
-process, as in `pinposture operate`. A page that another process stands for holds "ahead" for a second; then
+process, as in `pinposture operate`. A page that another process stands for holds "ahead" for a while; then
 it tells of the release, falls silent, or is closed. Told are the times from its last message, or from the
 end of its connection, to the end of the first cycle that moves the feed by less than 98 % of the one before,
 and to the first one that does not move it.
@@ -25,7 +25,7 @@ from pinposture.operate import Control, LivePage, Operation, SimulatedArm
 from pinposture.ros2.driver import usual_limits
 
 DT = 0.02
-HELD = 1.0
+HELD = 1.5
 """Time for which it is held [s]."""
 
 WAYS = ("release", "silence", "closed")
@@ -125,7 +125,7 @@ def times_after(times: Any, steps: Any, last: float) -> tuple[float, float]:
     """Return how long after a time the arm brakes, and rests [s]."""
     if len(times) < 2 or times[-1] < last:
         raise SystemExit("the loop stands")
-    full = np.median(steps[(times > last - 0.4) & (times <= last)])
+    full = np.median(steps[times <= last][-5:])
     later = times > last
     braking = times[later & (steps < 0.98 * full)][0]
     resting = times[later & (steps == 0.0)][0]

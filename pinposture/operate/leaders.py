@@ -100,6 +100,7 @@ class SteeredTip:
             arm.positions(start)[column], arm.limits.lower[column], arm.limits.upper[column]
         )
         self._steering = Steering(arm, limits, start=arm.configuration(positions))
+        self._idle = ""
         self.acceleration = speed / LEADERS.easing
         most = limits.for_arm(arm).acceleration
         if most is not None:
@@ -115,7 +116,7 @@ class SteeredTip:
     @property
     def reason(self) -> str:
         """Why the last step was not as asked for; empty if it was."""
-        return self._steering.reason
+        return self._steering.reason or self._idle
 
     @property
     def line(self) -> Array:
@@ -129,6 +130,7 @@ class SteeredTip:
         """Move the tip for a cycle; see `Leader.move`."""
         self._steering.scene = scene
         bend = self._curvature * velocity[1:]
+        self._idle = "" if velocity[0] or not np.any(bend) else "it steers while it moves: hold ahead as well"
         return self._steering.step(float(velocity[0]), bend if np.any(bend) else None)
 
 

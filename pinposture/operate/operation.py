@@ -38,6 +38,13 @@ class OperationSettings(NamedTuple):
     behind: float = 0.03
     """Mean distance of the control points from their targets, from which the leader waits, in arm lengths."""
 
+    standing: float = 0.2
+    """Time after which a tip that stands tries again [s]: to find that an arm of 41 joints cannot move takes
+    five times as long as to move it."""
+
+    latest: float = 4.0
+    """Largest duration of a cycle that counts when the tip is braked, in nominal ones."""
+
     drawing: float = 0.2
     """Time between two drawings of the way of the tip [s]."""
 
@@ -52,7 +59,7 @@ class Shown(NamedTuple):
         measured: the measured configuration, (nq,); None if it is not known.
         commanded: the commanded configuration, (nq,); None before something was held.
         scene: what the arm keeps clear of, with what was seen of it.
-        mode: "holds", "goes to the start", "runs" or "waits".
+        mode: "holds", "goes to the start", "runs", "stands" (the tip cannot move) or "waits" (for the arm).
         reason: why it holds, waits or is slower than asked for; empty if all is well.
         report: that of the tracker after the last cycle; None before it.
         line: points of the way of the tip, (n, 3) [m].
@@ -116,6 +123,8 @@ class Operation:
         self._leader: Leader | None = None
         self._begun = False
         self._velocity = np.zeros(3)
+        self._stood: Order | None = None
+        self._stood_at = -np.inf
         self._slowed: Limits | None = None
         self._slowed_by = 1.0
         self._full: Limits | None = None
@@ -176,12 +185,21 @@ class Operation:
         waits = self._reason_to_wait(tracker.report)
         if order is not None and waits:
             wanted = np.zeros(3)
+        if order is not None and not waits and self._still_stands(order):
+            return ""
         self._ease(wanted, dt)
         if order is None and not np.any(self._velocity):
             return released
+        before = self._leader.q
         tracker.update(self._leader.move(self._velocity, scene))
         self._mode = "waits" if waits else "runs"
         self._reason = waits or self._leader.reason or "; ".join(tracker.report.violated_constraints)
+        if self._leader.q is before and not waits:
+            self._mode = "stands"
+            self._reason = self._reason.removeprefix("stands: ")
+            self._velocity = np.zeros(3)
+            self._stood = order
+            self._stood_at = self._clock()
         return ""
 
     def _go_to_start(self, tracker: Tracker, measured: Array, order: Order | None, released: str) -> str:
@@ -202,6 +220,13 @@ class Operation:
         self._reason = tracker.report.reason
         return ""
 
+    def _still_stands(self, order: Order) -> bool:
+        """Return whether the tip could not move a moment ago as it is asked again."""
+        stood = self._stood
+        if stood is None or self._clock() - self._stood_at > OPERATION.standing:
+            return False
+        return bool(np.array_equal(stood.direction, order.direction))
+
     def _reason_to_wait(self, report: Report) -> str:
         """Return why the tip is not led on: the arm does not follow; empty if it does."""
         if report.status in ("holding", "evading") and report.reason:
@@ -216,7 +241,8 @@ class Operation:
         """Bring the velocity of the tip, (3,) [m/s], towards what is wanted, in a cycle of a duration [s]."""
         change = wanted - self._velocity
         size = float(np.linalg.norm(change))
-        most = dt * cast(Leader, self._leader).acceleration
+        late = (self._clock() - self.shown.time) / dt
+        most = min(max(late, 1.0), OPERATION.latest) * dt * cast(Leader, self._leader).acceleration
         self._velocity = wanted if size <= most * (1.0 + ROUNDING) else self._velocity + most / size * change
 
     def _set_limits(self, tracker: Tracker, order: Order | None) -> None:

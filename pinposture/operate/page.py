@@ -67,7 +67,13 @@ class PageSettings(NamedTuple):
 
 LIVE_PAGE = PageSettings()
 
-MODE_KINDS = {"holds": "info", "goes to the start": "warning", "runs": "good", "waits": "warning"}
+MODE_KINDS = {
+    "holds": "info",
+    "goes to the start": "warning",
+    "runs": "good",
+    "stands": "warning",
+    "waits": "warning",
+}
 """Colours of the status, by the mode of the operation."""
 
 
