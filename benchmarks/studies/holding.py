@@ -6,8 +6,8 @@
 A simulated arm of 20 modules on a feed, its control loop at 50 Hz and the server of the page run in this
 process, as in `pinposture operate`. A page that another process stands for holds "ahead" for a while; then
 it tells of the release, falls silent, or is closed. Told are the times from its last message, or from the
-end of its connection, to the end of the first cycle that moves the feed by less than 98 % of the one before,
-and to the first one that does not move it.
+end of its connection, to the end of the first cycle that brakes the tip, of the first one in which the
+commanded feed has at most half of its speed, and of the first one in which it rests.
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ from pinposture.operate import Control, LivePage, Operation, SimulatedArm
 from pinposture.ros2.driver import usual_limits
 
 DT = 0.02
-HELD = 1.5
+HELD = 2.0
 """Time for which it is held [s]."""
 
 WAYS = ("release", "silence", "closed")
 
 
 class RecordedArm(SimulatedArm):
-    """A simulated arm that records when it moved its feed, and by how much."""
+    """A simulated arm that records when it moved its feed, by how much, and how fast it led the tip."""
 
     def __init__(self, *given: Any, **named: Any) -> None:
         super().__init__(*given, **named)
         self.times: list[float] = []
         self.steps: list[float] = []
+        self.speeds: list[float] = []
 
     def cycle(self) -> bool:
         """Make a cycle, and record it."""
@@ -45,6 +46,7 @@ class RecordedArm(SimulatedArm):
         goes_on = super().cycle()
         self.times.append(time.monotonic())
         self.steps.append(abs(float(self._sent[0] - before)))
+        self.speeds.append(float(self._operation._velocity[0]))
         return goes_on
 
 
@@ -107,10 +109,11 @@ def main() -> None:
         for _ in range(trials):
             simulated.times.clear()
             simulated.steps.clear()
+            simulated.speeds.clear()
             asked.put(way)
             last = told.get()
             time.sleep(1.5)
-            found.append(times_after(np.array(simulated.times), np.array(simulated.steps), last))
+            found.append(times_after(simulated, last))
         print_times(way, np.array(found))
     asked.put(None)
     other.join()
@@ -121,20 +124,23 @@ def main() -> None:
     page.close()
 
 
-def times_after(times: Any, steps: Any, last: float) -> tuple[float, float]:
-    """Return how long after a time the arm brakes, and rests [s]."""
+def times_after(simulated: RecordedArm, last: float) -> list[float]:
+    """Return how long after a time the arm brakes, has half of its speed, and rests [s]."""
+    times = np.array(simulated.times)
+    steps = np.array(simulated.steps)
+    speeds = np.array(simulated.speeds)
     if len(times) < 2 or times[-1] < last:
         raise SystemExit("the loop stands")
     full = np.median(steps[times <= last][-5:])
     later = times > last
-    braking = times[later & (steps < 0.98 * full)][0]
-    resting = times[later & (steps == 0.0)][0]
-    return braking - last, resting - last
+    begun = times[later & (speeds < speeds[~later][-1])][0]
+    moments = [begun, *(times[later & (steps <= share * full)][0] for share in (0.5, 0.0))]
+    return [float(moment - last) for moment in moments]
 
 
 def print_times(way: str, found: Any) -> None:
-    """Print the times of trials, (n, 2) [s]."""
-    for name, column in zip(("brakes", "rests"), 1e3 * found.T, strict=True):
+    """Print the times of trials, (n, 3) [s]."""
+    for name, column in zip(("brakes", "is at half speed", "rests"), 1e3 * found.T, strict=True):
         print(f"{way:8} {name} after {np.median(column):.0f} ms (median), {column.max():.0f} ms (most)")
 
 
