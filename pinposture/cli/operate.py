@@ -44,23 +44,7 @@ SWITCH_INTERVAL = 0.001
 
 
 @dataclass(frozen=True)
-class OperationOptions:
-    """How an arm is operated."""
-
-    ros: Annotated[
-        bool,
-        OPERATED(
-            "Drive a robot on ROS 2, as pinposture drive does, in place of a simulation.", flags="--ros"
-        ),
-    ] = False
-    speed: Annotated[
-        float | None,
-        OPERATED("Full speed of the tip, in m/s; default: 5 % of the length of the arm per second.", "SPEED"),
-    ] = None
-
-
-@dataclass(frozen=True)
-class SimulationOptions:
+class SimulatedArmOptions:
     """The simulated arm, if there is one."""
 
     start: Annotated[
@@ -77,6 +61,23 @@ class SimulationOptions:
     ] = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class OperationOptions:
+    """How an arm is operated."""
+
+    ros: Annotated[
+        bool,
+        OPERATED(
+            "Drive a robot on ROS 2, as pinposture drive does, in place of a simulation.", flags="--ros"
+        ),
+    ] = False
+    speed: Annotated[
+        float | None,
+        OPERATED("Full speed of the tip, in m/s; default: 5 % of the length of the arm per second.", "SPEED"),
+    ] = None
+    simulated_arm: SimulatedArmOptions
+
+
 @examples(
     "pinposture operate arm.urdf --scene scene.toml",
     "pinposture operate arm.urdf --scene scene.toml --camera --frequency 10",
@@ -89,7 +90,6 @@ def run(
     ros_args: RosArguments = None,
     arm_options: ArmOptions,
     operation_options: OperationOptions,
-    simulation_options: SimulationOptions,
     limit_options: LimitOptions,
     scene_options: SceneOptions,
     page_options: PageOptions,
@@ -115,12 +115,12 @@ def run(
     operation = Operation(arm, limits, Control(), operation_options.speed)
     compile_missing()
     if operation_options.ros:
-        given = {f"--{name}": value for name, value in vars(simulation_options).items()}
+        given = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
         refuse_given(given, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
         _drive(operation, limits, scene, ros_args, page_options)
     else:
         refuse_given({"-- ARGUMENTS": ros_args}, "nothing without --ros")
-        _simulate(operation, limits, scene, simulation_options, page_options)
+        _simulate(operation, limits, scene, operation_options.simulated_arm, page_options)
 
 
 @contextmanager
@@ -164,7 +164,7 @@ def _drive(
 
 
 def _simulate(
-    operation: Operation, limits: Limits, scene: Scene, given: SimulationOptions, options: PageOptions
+    operation: Operation, limits: Limits, scene: Scene, given: SimulatedArmOptions, options: PageOptions
 ) -> None:
     """Simulate the arm."""
     from pinposture.arm.mjcf import load_mujoco

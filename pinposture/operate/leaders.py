@@ -43,7 +43,7 @@ class LeaderSettings(NamedTuple):
 LEADERS = LeaderSettings()
 
 
-class Leader(Protocol):
+class TipLeader(Protocol):
     """What turns the motion of a tip into postures of the arm, cycle by cycle.
 
     Attributes:
@@ -127,7 +127,7 @@ class SteeredTip:
         return np.asarray(path.at(np.linspace(0.0, path.length, 100)))
 
     def move(self, velocity: Array, scene: Scene) -> Target:
-        """Move the tip for a cycle; see `Leader.move`."""
+        """Move the tip for a cycle; see `TipLeader.move`."""
         self._steering.scene = scene
         bend = self._curvature * velocity[1:]
         self._idle = "" if velocity[0] or not np.any(bend) else "it steers while it moves: hold ahead as well"
@@ -169,7 +169,7 @@ class MovedTip:
         return np.array(self._line).reshape(-1, 3)
 
     def move(self, velocity: Array, scene: Scene) -> Target:
-        """Move the tip for a cycle; see `Leader.move`.
+        """Move the tip for a cycle; see `TipLeader.move`.
 
         Where it cannot go, it goes as far as it can in one of the directions that are asked for.
         """
@@ -217,7 +217,7 @@ class MovedTip:
         return "joints would have to be faster than their velocity limits"
 
 
-def leader_of(arm: Arm, limits: Limits, start: Array, speed: float) -> tuple[Leader, str]:
+def leader_of(arm: Arm, limits: Limits, start: Array, speed: float) -> tuple[TipLeader, str]:
     """Return what leads an arm from a configuration (nq,) at a full speed [m/s], and how it is led."""
     try:
         return SteeredTip(arm, limits, start, speed), "steered: the body follows the path of the tip"

@@ -19,7 +19,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.errors import InvalidValue
 from pinposture.motion import Report, Tracker
 from pinposture.operate.control import Control, Order
-from pinposture.operate.leaders import Leader, leader_of
+from pinposture.operate.leaders import TipLeader, leader_of
 from pinposture.placement.target import target_at
 from pinposture.units import ROUNDING, length_text
 
@@ -120,7 +120,7 @@ class Operation:
         self._speed = OPERATION.speed * arm.length if speed is None else require_positive("speed", speed)
         self._limits = limits
         self._clock = clock
-        self._leader: Leader | None = None
+        self._leader: TipLeader | None = None
         self._begun = False
         self._velocity = np.zeros(3)
         self._stood: Order | None = None
@@ -204,7 +204,7 @@ class Operation:
 
     def _go_to_start(self, tracker: Tracker, measured: Array, order: Order | None, released: str) -> str:
         """Set the target where the leader begins; return why the arm has to hold."""
-        leader = cast(Leader, self._leader)
+        leader = cast(TipLeader, self._leader)
         start = target_at(self.arm.chain_at(leader.q), np.ones(self.arm.n_modules))
         away = start.mean_distance(self.arm.chain_at(measured).points)
         self._begun = away <= OPERATION.start * self.arm.length
@@ -242,7 +242,7 @@ class Operation:
         change = wanted - self._velocity
         size = float(np.linalg.norm(change))
         late = (self._clock() - self.shown.time) / dt
-        most = min(max(late, 1.0), OPERATION.latest) * dt * cast(Leader, self._leader).acceleration
+        most = min(max(late, 1.0), OPERATION.latest) * dt * cast(TipLeader, self._leader).acceleration
         self._velocity = wanted if size <= most * (1.0 + ROUNDING) else self._velocity + most / size * change
 
     def _set_limits(self, tracker: Tracker, order: Order | None) -> None:
