@@ -433,6 +433,7 @@ IN_LOOPS = (
     *(
         "CollisionModel.clear_of_maps",
         "CollisionModel.count_movers",
+        "CollisionModel.grow_trees",
         "CollisionModel.nearest",
         "CollisionModel.minimum_along",
     ),

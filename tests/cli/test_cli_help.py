@@ -151,6 +151,8 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     command("generate", "Rz", "--modules", 8, "-o", tmp_path / "urdf" / "flat.urdf")
     for verb in QUICK:
         for example in examples(command, verb):
+            if "--retreat" in example:  # takes minutes; `test_cli_run.py` runs it with a small arm
+                continue
             output = ""
             for stage in example.split("|"):
                 program, *arguments = shlex.split(stage)
@@ -168,6 +170,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
         "arm.urdf",
         "arm.png",
         "long.urdf",
+        "fed.urdf",
         "out",
         "motion.html",
         "ryrz20.toml",
