@@ -373,11 +373,12 @@ class ShapeEstimator:
         chosen = self._chosen(at)
         read = _readings("curvatures", curvatures, (len(chosen), 3))
         lengths = self.arm.chain.module_lengths[chosen]
+        neutral = self.arm.chain_at(self.arm.origin).rotations
         known = np.argwhere(~np.isnan(read))
         entries = known[:, 0] * 3 + known[:, 1]
 
         def near(state: ChainState, _: Array) -> Readings:
-            expected, rows = _bends(state, chosen)
+            expected, rows = _bends(state, neutral, chosen)
             errors = (read - expected / lengths[:, None]).reshape(-1, 1)
             rows = (rows / lengths[:, None, None]).reshape(-1, 1, self.arm.nv)
             return Readings(errors[entries], rows[entries])
@@ -430,14 +431,18 @@ class ShapeEstimator:
         return used
 
 
-def _bends(state: ChainState, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
+def _bends(state: ChainState, neutral: Array, chosen: NDArray[np.intp]) -> tuple[Array, Array]:
     """Return how far modules are bent from the neutral configuration.
+
+    Args:
+        state: the state of the arm.
+        neutral: orientations of the control points in that configuration, (m, 3, 3).
+        chosen: the control points at the ends of the modules, (k,).
 
     Returns:
         Rotation vectors, (k, 3) [rad], in the frames at their ends, and their rows, (k, 3, nv) [rad/rad].
     """
     arm = state.arm
-    neutral = arm.chain_at(arm.origin).rotations
     jacobians = state.angular_jacobians
     vectors = np.empty((len(chosen), 3))
     rows = np.empty((len(chosen), 3, arm.nv))

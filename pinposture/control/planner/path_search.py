@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import pairwise
 from math import inf
 from time import perf_counter
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,14 +123,13 @@ class PathSearch:
         self.least = least
         self.until = until
         objective, self._start, edges, avoidance = problem
-        assert avoidance is not None
-        self.avoidance = avoidance
+        self.avoidance = cast(Avoidance, avoidance)
         self.goal = goal
         self._end = np.asarray(self.arm.difference(self._start.q, goal.q))
         self._rng = np.random.default_rng(seed)
         size = self.arm.length
         self._settings = TreeSettings(
-            TREE_STEP, least, MOTION_TOLERANCE * size, OPEN_MOTION * size, avoidance.constrained
+            TREE_STEP, least, MOTION_TOLERANCE * size, OPEN_MOTION * size, self.avoidance.constrained
         )
         self._trapped = np.zeros(2, dtype=np.bool_)
         self._share = min(1.0, FEW_JOINTS / len(objective.columns))
