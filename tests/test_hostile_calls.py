@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 PROGRAM = str(Path(__file__).with_name("hostile_calls.py"))
-SHARE = 24
+SHARE = 36
 """One of so many cases is made in each run of the test; all take ten minutes of two cores.
 
 Others are made each time, unless hypothesis has a seed.
