@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 import pinposture as pp
+from pinposture.operate import Control, Operation
 from pinposture.ros2 import Driver, DriverSettings
 from pinposture.ros2.clouds import write_points
 from pinposture.ros2.driver import CLOUDS
@@ -331,6 +334,72 @@ def test_a_cloud_of_a_link_becomes_an_obstacle_and_one_of_an_unknown_frame_holds
     publisher.publish(write_points(np.zeros((0, 3)), "world", robot.node.get_clock().now().to_msg()))
     assert graph.run(lambda: robot.at(target)), driver.reason
     robot.node.destroy_publisher(publisher)
+
+
+def test_an_operator_leads_the_arm_and_nothing_else_does(graph: Any, driver: Driver, robot: Robot) -> None:
+    from sensor_msgs.msg import JointState
+
+    arm = driver.arm
+    driver.aim(posture(arm, 0.2))  # there it leads well
+    assert graph.run(lambda: robot.at(posture(arm, 0.2))), driver.reason
+    control = Control()
+    limits = pp.Limits(step=None, dt=DT, velocity=VELOCITY, acceleration=ACCELERATION)
+    operation = Operation(arm, limits, control)
+    driver.follow(operation)
+
+    def tell(**message: Any) -> None:
+        control.take("page", json.dumps(message), time.monotonic())
+
+    def hold(until: Callable[[], Any]) -> bool:
+        """Hold "back" and "up" until something is so; anew if the machine was too slow for it to count."""
+
+        def told() -> bool:
+            if control.order(time.monotonic()) is None:
+                tell(do="release")
+            tell(do="hold", ahead=-0.5, left=0.0, up=1.0, override=1.0)
+            return bool(until())
+
+        return graph.run(told)
+
+    def tip() -> np.ndarray:
+        return robot.points[-1]
+
+    tell(do="ask")
+    tell(do="release")
+    assert graph.run(lambda: driver.reason == "nothing is held" and driver.tracker.at_rest), driver.reason
+    graph.run_for(0.1)  # until the last command has arrived
+    start = tip()
+    graph.run_for(0.2)
+    np.testing.assert_array_equal(tip(), start)
+    way = 0.05 * arm.length
+    assert hold(lambda: np.linalg.norm(tip() - start) > way), (driver.reason, operation.shown)
+    moved = (tip() - start) / np.linalg.norm(tip() - start)
+    assert moved @ np.array([-0.5, 0.0, 1.0]) / np.hypot(0.5, 1.0) > 0.97
+
+    # A posture that is sent is refused; joints that are not measured hold it, whatever is held.
+    publisher = robot.node.create_publisher(JointState, f"{driver._node.get_name()}/posture", 1)
+    assert hold(lambda: publisher.get_subscription_count() > 0)
+    publisher.publish(JointState(name=list(arm.drives.names), position=[0.0] * arm.nv))
+    words = "none while an operator or another guide leads the arm"
+    assert hold(lambda: words in driver._target_fault), driver._target_fault
+    robot.node.destroy_publisher(publisher)
+    robot.alter = lambda message: []
+    assert hold(lambda: "at most max_age" in driver.reason and driver.tracker.at_rest), driver.reason
+    assert operation.shown.mode == "holds" and operation.shown.reason == driver.reason
+    robot.alter = lambda message: [message]
+    before = tip()
+    assert hold(lambda: np.linalg.norm(tip() - before) > 0.2 * way), (driver.reason, operation.shown)
+
+    # The page falls silent.
+    assert graph.run(lambda: driver.reason.startswith("nothing was heard of the page")), driver.reason
+    assert graph.run(lambda: driver.tracker.at_rest)
+    graph.run_for(0.1)
+    before = tip()
+    graph.run_for(0.2)
+    np.testing.assert_array_equal(tip(), before)
+    driver._guide = None
+    driver.aim(posture(arm, 0.0))
+    assert graph.run(lambda: robot.at(posture(arm, 0.0))), driver.reason
 
 
 class Simulator:
