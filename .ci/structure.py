@@ -56,8 +56,8 @@ CEILINGS = {
     "subtractions from a target": 1,  # 1
     "codecs": 7,  # 6
     "control loops": 1,  # 1
-    "least-squares loops": 8,  # 3
-    "box solvers": 7,  # 2
+    "least-squares loops": 7,  # 3
+    "box solvers": 6,  # 2
     "finders of a goal": 4,  # 1
     "forms of Algorithm 1": 1,  # 1
     "chain descriptions": 1,  # 1
@@ -85,9 +85,8 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
     ),
     "control loops": ("motion.loop.Loop",),
     "least-squares loops": (
-        "control.planner.damped_least_squares.minimize",  # points, tasks and obstacles
+        "control.planner.damped_least_squares.descend",  # points, tasks, the tip and obstacles
         "control.planner.trajectory_optimization._PathRelaxation",  # all waypoints of a path
-        "control.reach._Search",  # the tip and obstacles
         "kernels.branch_search.correct",  # ends of a few modules
         "kernels.branch_search.minimise_posture_errors",  # points
         "kernels.path_relaxation.relax_waypoints",  # one waypoint after another
@@ -96,7 +95,6 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
     ),
     "box solvers": (
         "control.planner.avoidance.solve",  # dense, with rows
-        "control.reach._Search",
         "kernels.branch_search.correct",
         "kernels.chain_solver.minimise_in_box",  # along the chain
         "kernels.constrained_step.minimise_with_rows",  # by the one before, with rows

@@ -22,9 +22,12 @@ from pinposture._validation import (
 )
 from pinposture._validation import direction as unit_vector
 from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
+from pinposture.arm.recent import RecentValues
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
+from pinposture.control.planner.avoidance import solve
+from pinposture.control.planner.damped_least_squares import MIN_DAMPING, Rating, damped_hessian, descend
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
@@ -83,11 +86,6 @@ NEAR_LIMIT_SHARE = 0.7
 
 MANIPULABILITY_GAIN = 2e-3
 """Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
-
-DECREASE = 0.2
-INCREASE = 5.0
-MAX_DAMPING = 1e6
-"""Damping factors after a step that reduces the error and one that does not; damping that ends the search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,6 +424,48 @@ class _Rows(NamedTuple):
         return float(np.linalg.norm(self.errors[self.tip :]))
 
 
+class _TipFit:
+    """The problem of bringing the tip to its goal and all distances to a clearance; see `descend`."""
+
+    def __init__(self, search: _Search, clearance: float | None) -> None:
+        self._search = search
+        self._clearance = clearance
+        self._known: RecentValues[ChainState, _Rows] = RecentValues(2)
+
+    def rate(self, state: ChainState) -> Rating:
+        return Rating(0.0, 0.5 * self._rows(state).cost)
+
+    def is_solved(self, state: ChainState, rating: Rating) -> bool:
+        rows = self._rows(state)
+        search = self._search
+        near = rows.tip_error <= 0.1 * search.tolerance
+        return near and rows.intrusion <= 0.5 * BUFFER * search.arm.length
+
+    def step(self, state: ChainState, damping: float) -> ChainState | None:
+        search = self._search
+        rows = self._rows(state)
+        lower, upper = search.room(state)
+        lower = np.maximum(lower, -MAX_JOINT_MOTION)
+        upper = np.minimum(upper, MAX_JOINT_MOTION)
+        matrix = rows.matrix
+        mean = float((matrix**2).sum()) / len(lower) + 1e-12 * search.arm.length**2
+        # Full damping from a tenth of the arm length on; nearer, it falls with the squared errors.
+        far = min(1.0, rows.cost / search.arm.length**2 * 1e2)
+        weight = (1e-2 * damping * far + MIN_DAMPING) * mean
+        # There are fewer rows than joints. Within the box, their solution is that of the quadratic program.
+        x = matrix.T @ np.linalg.solve(damped_hessian(matrix.T, weight), rows.errors)
+        if np.any((x < lower) | (x > upper)):
+            found = solve(damped_hessian(matrix, weight), -(matrix.T @ rows.errors), lower, upper)
+            if found.x is None:
+                return None
+            x = found.x
+        return search.moved(state, x)
+
+    def _rows(self, state: ChainState) -> _Rows:
+        rows = self._known.get(state)
+        return self._known.keep(state, self._search.rows(state, self._clearance)) if rows is None else rows
+
+
 class _Search:
     """The search for postures with the tip at its goal."""
 
@@ -472,11 +512,11 @@ class _Search:
             settled: list[tuple[float, int, ChainState]] = []
             for number, q in enumerate(self._seeds(start, wave == 0, rng)):
                 state = self._settle(self.arm.chain_at(q), None, TIP_ITERATIONS)
-                error = self._rows(state, None).tip_error
+                error = self.rows(state, None).tip_error
                 nearest = min(nearest, error)
                 if error <= self.tolerance or (self.model is not None and error <= AMPLE * self.arm.length):
                     near = start is not None and wave == number == 0  # tried first, even if it intrudes
-                    intrusion = 0.0 if near else self._rows(state, self.margin).intrusion
+                    intrusion = 0.0 if near else self.rows(state, self.margin).intrusion
                     settled.append((intrusion, number, state))
                 if perf_counter() >= until:
                     break
@@ -502,14 +542,14 @@ class _Search:
     def bring_near(self, state: ChainState, waves: int, rng: np.random.Generator) -> tuple[ChainState, float]:
         """Return a state at the goal, the nearest found to a posture, or else the closest, and its error."""
         best = self._settle(state, None, TIP_ITERATIONS)
-        error = self._rows(best, None).tip_error
+        error = self.rows(best, None).tip_error
         for _ in range(waves):
             if error <= self.tolerance:
                 break
             nearest = inf
             for q in self._seeds(None, False, rng):
                 other = self._settle(self.arm.chain_at(q), None, TIP_ITERATIONS)
-                off = self._rows(other, None).tip_error
+                off = self.rows(other, None).tip_error
                 away = float(np.linalg.norm(other.points - state.points, axis=1).mean())
                 if off <= self.tolerance and away < nearest:
                     best = other
@@ -572,7 +612,7 @@ class _Search:
             drawn = np.clip(arm.positions(q), *self.edges)
             yield arm.configuration(np.where(arm.moved > 0.0, drawn, here))
 
-    def _rows(self, state: ChainState, clearance: float | None) -> _Rows:
+    def rows(self, state: ChainState, clearance: float | None) -> _Rows:
         """Return the rows of the tip and of the distances below a clearance [m], if one is given.
 
         Torques count as distances from their limits.
@@ -593,61 +633,18 @@ class _Search:
 
     def _settle(self, state: ChainState, clearance: float | None, iterations: int) -> ChainState:
         """Bring the tip to its goal and all distances to a clearance by damped least squares."""
-        rows = self._rows(state, clearance)
-        damping = 1e-2
-        good = 0.1 * self.tolerance
-        clear = BUFFER * self.arm.length * 0.5
-        for _ in range(iterations):
-            if rows.tip_error <= good and rows.intrusion <= clear:
-                break
-            tried = self._moved(state, self._step(state, rows, damping))
-            after = self._rows(tried, clearance)
-            if after.cost < rows.cost:
-                state = tried
-                rows = after
-                damping = max(damping * DECREASE, 1e-9)
-            else:
-                damping *= INCREASE
-                if damping > MAX_DAMPING:
-                    break
-        return state
-
-    def _step(self, state: ChainState, rows: _Rows, damping: float) -> Array:
-        """Return the damped step, (n,); joints that would exceed their limits are held."""
-        lower, upper = self._room(state)
-        free = np.ones(len(self.columns), dtype=np.bool_)
-        x = np.zeros(len(free))
-        weight = damping * (float((rows.matrix**2).sum()) / len(free) + 1e-12 * self.arm.length**2)
-        weight *= min(1.0, rows.cost / self.arm.length**2 * 1e2 + 1e-6)
-        for _ in range(3):
-            matrix = rows.matrix[:, free]
-            if len(matrix) < matrix.shape[1]:
-                gram = matrix @ matrix.T
-                gram[np.diag_indices(len(gram))] += weight + 1e-14
-                x[free] = matrix.T @ np.linalg.solve(gram, rows.errors)
-            else:
-                gram = matrix.T @ matrix
-                gram[np.diag_indices(len(gram))] += weight + 1e-14
-                x[free] = np.linalg.solve(gram, matrix.T @ rows.errors)
-            held = free & (((x < 0.0) & (lower >= 0.0)) | ((x > 0.0) & (upper <= 0.0)))
-            if not held.any():
-                break
-            free &= ~held
-            x[held] = 0.0
-            if not free.any():
-                break
-        return self._limited(x, lower, upper)
+        return descend(_TipFit(self, clearance), state, iterations)[0]
 
     def _limited(self, x: Array, lower: Array, upper: Array) -> Array:
         """Return a step scaled to `MAX_JOINT_MOTION` and clipped at the limits."""
         scale = min(1.0, MAX_JOINT_MOTION / max(float(np.abs(x).max(initial=0.0)), 1e-300))
         return np.asarray(np.clip(scale * x, lower, upper))
 
-    def _room(self, state: ChainState) -> tuple[Array, Array]:
+    def room(self, state: ChainState) -> tuple[Array, Array]:
         lower, upper = ((edge[self.columns] - state.positions[self.columns]) for edge in self.edges)
         return np.minimum(lower, 0.0) / self.units, np.maximum(upper, 0.0) / self.units
 
-    def _moved(self, state: ChainState, x: Array) -> ChainState:
+    def moved(self, state: ChainState, x: Array) -> ChainState:
         dq = np.zeros(self.arm.nv)
         dq[self.columns] = x * self.units
         return state.moved(dq)
@@ -657,7 +654,7 @@ class _Search:
         wanted = self.margin + AMPLE * self.arm.length
         moved = state
         for _ in range(POLISH_ITERATIONS):
-            rows = self._rows(moved, wanted)
+            rows = self.rows(moved, wanted)
             first = rows.matrix[: rows.tip]
             left = rows.errors[: rows.tip]
             inverse = np.linalg.pinv(first, rcond=1e-4)
@@ -673,7 +670,7 @@ class _Search:
             x = inverse @ left + null @ x
             if float(np.abs(x).max(initial=0.0)) < 1e-4:
                 break
-            moved = self._moved(moved, self._limited(x, *self._room(moved)))
+            moved = self.moved(moved, self._limited(x, *self.room(moved)))
         moved = self._push_clear(moved, CLEAR_ITERATIONS // 2)
         better = self._judge(moved)
         return (posture, state) if better is None or better.score < posture.score else (better, moved)

@@ -15,6 +15,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.control.reach import reach_from
 from pinposture.errors import UnknownName, WeightUnknown
 
 MARGIN = 0.01
@@ -348,3 +349,17 @@ def test_the_posture_is_at_the_turns_at_which_its_path_ends(upper):
             criteria = reserve, posture.limit_distance, posture.manipulability, 1.0 / posture.path_ratio
             assert posture.score == pytest.approx(np.mean(criteria))
     assert turned
+
+
+@pytest.mark.parametrize("seed", [1, 21, 24])
+def test_a_pose_that_takes_many_joints_to_their_limits_is_found_in_one_descent(seed):
+    joints = tuple(pp.JointSpec(axis, lower=-0.5, upper=0.5) for axis in "yz")
+    narrow = pp.Arm.from_modules([pp.ModuleTemplate("module", joints, (0.05, 0.05))] * 10)
+    rng = np.random.default_rng(seed)
+    known = np.clip(smooth_configuration(narrow, rng, 0.8), -0.5, 0.5)
+    assert np.count_nonzero(np.abs(known) == 0.5) >= 4
+    goal = placed(narrow, known)
+    found = reach_from(narrow, goal, narrow.random(rng))
+    assert found is not None
+    assert np.linalg.norm(pin.log6(goal.actInv(placed(narrow, found.q))).vector) < 1e-5
+    assert np.all(np.abs(found.q) <= 0.5)

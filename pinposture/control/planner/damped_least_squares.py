@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -294,46 +294,108 @@ def minimize(
         allowed: violation of the margin that is accepted [m].
         steps: largest number of steps.
     """
-    objective, _, edges, avoidance = problem
-    if avoidance is None and not objective.tasks:
-        return _minimize_alone(objective, state, edges, good, steps)
-    columns = objective.columns
-    cost = objective.cost(state)
+    if problem.avoidance is None and not problem.objective.tasks:
+        return _minimize_alone(problem.objective, state, problem.edges, good, steps)
+    fit = _PostureFit(problem, good, allowed)
+    state, rating = descend(fit, state, steps)
+    return LeastSquaresResult(
+        state, rating.cost, problem.objective.mean_error(state), rating.violation - allowed
+    )
+
+
+class Rating(NamedTuple):
+    """How far a state is from a solution. Of two states, that with the smaller violation is better.
+
+    Attributes:
+        violation: violation of constraints [m].
+        cost: half the sum of squared errors [m^2], which decides between equal violations.
+    """
+
+    violation: float
+    cost: float
+
+
+class LeastSquaresProblem(Protocol):
+    """A problem that `descend` solves."""
+
+    def rate(self, state: ChainState) -> Rating:
+        """Rate a state."""
+
+    def is_solved(self, state: ChainState, rating: Rating) -> bool:
+        """Whether a state is good enough to end the search."""
+
+    def step(self, state: ChainState, damping: float) -> ChainState | None:
+        """Return the state after a step that reduces the errors; None if there is none.
+
+        Args:
+            state: the state.
+            damping: factor of the damping, 1 at first.
+        """
+
+
+def descend(problem: LeastSquaresProblem, state: ChainState, steps: int) -> tuple[ChainState, Rating]:
+    """Improve a state by damped steps, until it is good enough or steps no longer improve it.
+
+    The damping falls after a step that improves the state. Any other is undone, and the damping rises.
+
+    Args:
+        problem: what is solved.
+        state: the initial state.
+        steps: largest number of steps.
+    """
+    rating = problem.rate(state)
     damping = 1.0
     idle = 0
-    close = allowed if avoidance is None else _closeness(avoidance, state, allowed)
     for _ in range(steps):
-        if not objective.tasks and close == allowed and objective.mean_error(state) <= good:
+        if problem.is_solved(state, rating):
             break
-        here = state.positions[columns]
-        lower, upper = ((edge[columns] - here) / objective.units for edge in edges)
-        lower = np.clip(lower, -SEARCH_STEP, 0.0)
-        upper = np.clip(upper, 0.0, SEARCH_STEP)
-        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
-        bounds = StepBounds(state, lower, upper, rows)
-        x = reduce_errors(objective, bounds, damping).x
-        tried = None
-        if x is not None:
-            tried = objective.state_after(state, correct_curvature(objective, bounds, x))
-        found = np.inf if tried is None else objective.cost(tried)
-        closer = 0.0 if avoidance is None or tried is None else _closeness(avoidance, tried, allowed)
-        if tried is not None and (closer < close or (closer == close and found < cost)):
-            idle = idle + 1 if closer == close and found > (1.0 - CONVERGED) * cost else 0
+        tried = problem.step(state, damping)
+        found = None if tried is None else problem.rate(tried)
+        if tried is not None and found is not None and found < rating:
+            closer = found.violation < rating.violation
+            idle = 0 if closer or found.cost <= (1.0 - CONVERGED) * rating.cost else idle + 1
             state = tried
-            cost = found
-            close = closer
+            rating = found
             damping = max(damping * DECREASE, MIN_FACTOR)
         else:
             damping *= INCREASE
             idle += damping > MAX_FACTOR
         if idle >= MAX_IDLE:
             break
-    return LeastSquaresResult(state, cost, objective.mean_error(state), close - allowed)
+    return state, rating
 
 
-def _closeness(avoidance: Avoidance, state: ChainState, allowed: float) -> float:
-    """Return by how much the margin and constraints are violated [m]; at least what is allowed."""
-    return max(avoidance.intrusion(state), allowed) + avoidance.violation(state)
+class _PostureFit(NamedTuple):
+    """The problem of `minimize`: an objective within limits, clear of obstacles."""
+
+    problem: PlanningProblem
+    good: float
+    allowed: float
+
+    def rate(self, state: ChainState) -> Rating:
+        violation = self.allowed
+        avoidance = self.problem.avoidance
+        if avoidance is not None:
+            violation = max(avoidance.intrusion(state), self.allowed) + avoidance.violation(state)
+        return Rating(violation, self.problem.objective.cost(state))
+
+    def is_solved(self, state: ChainState, rating: Rating) -> bool:
+        objective = self.problem.objective
+        clear = rating.violation == self.allowed
+        return clear and not objective.tasks and objective.mean_error(state) <= self.good
+
+    def step(self, state: ChainState, damping: float) -> ChainState | None:
+        objective = self.problem.objective
+        avoidance = self.problem.avoidance
+        columns = objective.columns
+        here = state.positions[columns]
+        lower, upper = ((edge[columns] - here) / objective.units for edge in self.problem.edges)
+        lower = np.clip(lower, -SEARCH_STEP, 0.0)
+        upper = np.clip(upper, 0.0, SEARCH_STEP)
+        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
+        bounds = StepBounds(state, lower, upper, rows)
+        x = reduce_errors(objective, bounds, damping).x
+        return None if x is None else objective.state_after(state, correct_curvature(objective, bounds, x))
 
 
 def _minimize_alone(
