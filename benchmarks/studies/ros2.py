@@ -27,8 +27,8 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.collision.mapping import SEEN
 from pinposture.ros2 import Driver, open_node
-from pinposture.ros2.driver import CLOUDS
 
 LIMITS = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0)
 BETWEEN_TARGETS = 4.0
@@ -93,7 +93,7 @@ def measure(arm_file: Path, options: tuple[str, ...], seconds: float) -> Punctua
                     seen = driver.times.cycles
                     held += driver.status == "holding"
                     now = driver.tracker.scene
-                    cells = None if now is None else now.obstacles[CLOUDS]
+                    cells = None if now is None else now.obstacles[SEEN]
                     maps += cells is not known
                     known = cells
             cycles = driver.times.cycles - before[0]

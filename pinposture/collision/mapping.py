@@ -44,6 +44,12 @@ REACH = 1.2
 """Distance from the base up to which a map reaches, in lengths of the arm: what is farther away cannot be
 near the arm, but for thick ends."""
 
+SEEN = "seen by cameras"
+"""Name of a map among the obstacles of a scene."""
+
+USUAL_CELL = 0.02
+"""Edge length of cells, in lengths of the arm, unless it is given."""
+
 RESCALED = 1e6
 """Scale of evidence at which it is made 1 again, far below what single precision holds."""
 

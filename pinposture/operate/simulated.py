@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm
 from pinposture.collision import Map, Mounting, Scene
+from pinposture.collision.mapping import SEEN, USUAL_CELL
 from pinposture.collision.model import effective_scene
 from pinposture.control import Limits
 from pinposture.control.limits import cycle_of
 from pinposture.motion import Tracker
 from pinposture.motion.latest import Latest
 from pinposture.operate.operation import Operation
-from pinposture.ros2.driver import CELL, CLOUDS
 from pinposture.sim.camera import DepthCamera, TipCamera
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
@@ -95,8 +95,8 @@ class SimulatedArm:
         self._camera = None
         if camera is not None:
             self._camera = TipCamera(arm, known, camera)
-            self._map = Map(CELL * arm.length, arm)
-            known = known.with_obstacles({CLOUDS: self._map.cells})
+            self._map = Map(USUAL_CELL * arm.length, arm)
+            known = known.with_obstacles({SEEN: self._map.cells})
         self.scene = known
         self.tracker = Tracker(arm, limits=limits, scene=known, deadline=deadline)
         self._looking: Latest[Picture, None] = Latest(self._look, "pinposture-camera")
@@ -143,8 +143,8 @@ class SimulatedArm:
         if self.time >= self._pictures * PICTURE_PERIOD:
             self._pictures = int(self.time / PICTURE_PERIOD) + 1
             self._looking.ask(Picture(q, self.time + self.plant.dt))
-        if self._map.cells is not self.scene.obstacles[CLOUDS]:
-            self.scene = self.scene.updated({CLOUDS: self._map.cells})
+        if self._map.cells is not self.scene.obstacles[SEEN]:
+            self.scene = self.scene.updated({SEEN: self._map.cells})
 
     def _look(self, picture: Picture, outdated: Event) -> None:
         """Take a picture, and add it to the map. Runs in a thread."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Map, Scene
+from pinposture.collision.mapping import SEEN, USUAL_CELL
 from pinposture.collision.model import effective_scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
@@ -53,12 +54,6 @@ DIAGNOSTICS_PERIOD = 1.0
 ARRIVED = 0.01
 """Mean distance of the control points from the start of a motion at which it begins, in arm lengths, once the
 arm rests there: soft or sticking drives stop short of it."""
-
-CLOUDS = "seen by cameras"
-"""Name of the obstacle that clouds make up."""
-
-CELL = 0.02
-"""Edge length of the cells of the map, in arm lengths, unless it is given."""
 
 STANDSTILL = 2.0
 """Time without a cycle after which a driver that shall end does not wait for one any longer [s]. Cycles stop
@@ -223,7 +218,7 @@ class Driver:
         self._map = self._new_map()
         self._mapped_until = 0  # the last time at which the joints were measured [ns]
         known = effective_scene(arm, scene)
-        self._scene = replace(known, obstacles={**known.obstacles, CLOUDS: self._map.cells})
+        self._scene = replace(known, obstacles={**known.obstacles, SEEN: self._map.cells})
         self._period = 1.0 / self.settings.rate
         self.tracker = Tracker(
             arm,
@@ -509,7 +504,7 @@ class Driver:
             self._diagnose()
 
     def _new_map(self) -> Map:
-        resolution = self.settings.cloud_resolution or CELL * self.arm.length
+        resolution = self.settings.cloud_resolution or USUAL_CELL * self.arm.length
         return Map(resolution, self.arm, forget=self.settings.forget or inf)
 
     def _map_measurement(self, measured: JointMeasurement) -> None:
@@ -528,8 +523,8 @@ class Driver:
     def _take_cells(self) -> None:
         """Take what cameras have seen into the scene."""
         cells = self._map.cells
-        if cells is not self._scene.obstacles[CLOUDS]:
-            self._scene = self._scene.updated({CLOUDS: cells})
+        if cells is not self._scene.obstacles[SEEN]:
+            self._scene = self._scene.updated({SEEN: cells})
 
     def _run_posted(self) -> None:
         while True:

@@ -35,6 +35,10 @@ class SteeringSettings(NamedTuple):
     eased: tuple[float, ...] = (1.0, 0.75, 0.5, 0.25, 0.0)
     """Shares of the curvature that are tried, from that of the operator to straight ahead."""
 
+    same_way: float = 0.9
+    """Cosine of the angle between two curvatures above which they are in one direction. In another one the
+    whole curvature is tried at once."""
+
     foreseen: float = 3.0
     """How far an arc must be possible before it is begun, in lengths of the longest module. Links may be off
     the path by more than a bend of one module, so that with 1 an arm with joint limits of 0.3 rad begins arcs
@@ -256,6 +260,9 @@ class Steering:
         path = LaidPath(fed.tip - fed.run_up * fed.axis, frame, fed.run_up, fed.max_tip_lead)
         self._posture = _Posture(ClosestPlacement(fed, path), path, 0.0, fed.start, "")
         self._model: CollisionModel | None = None
+        self._asked = AHEAD
+        self._eased = 0
+        self._refused = ""
 
     @property
     def q(self) -> Array:
@@ -323,14 +330,32 @@ class Steering:
     def _lay(self, distance: float, curvature: Array) -> None:
         """Lay a path from the tip on, and move along it by a distance [m], or less."""
         shares = STEERING.eased if np.any(curvature) else (1.0,)
-        for share in shares:
-            found = self._move_on_arc(distance, share * curvature)
+        first = self._first_share(curvature)
+        bends_less = f"bends less: {self._refused}" if first else ""
+        for index in range(first, len(shares)):
+            found = self._move_on_arc(distance, shares[index] * curvature)
             if not isinstance(found, str):
+                self._eased = index
                 self._posture = found
-                self.reason = self.reason or found.reason
+                self.reason = bends_less or found.reason
                 return
-            self.reason = self.reason or f"bends less: {found}"
-        self.reason = self.reason.replace("bends less", "stands", 1)
+            self._refused = found
+            bends_less = bends_less or f"bends less: {found}"
+        self._eased = len(shares) - 1
+        self.reason = bends_less.replace("bends less", "stands", 1)
+
+    def _first_share(self, curvature: Array) -> int:
+        """Return which of `STEERING.eased` to try first.
+
+        In the direction of the last step, it is the one above what was possible then: to try all of them in
+        each step takes up to five times as long as to take a step.
+        """
+        before = self._asked
+        self._asked = curvature
+        sizes = float(np.linalg.norm(before) * np.linalg.norm(curvature))
+        if before @ curvature <= STEERING.same_way * sizes:
+            self._eased = 0
+        return max(self._eased - 1, 0)
 
     def _move_on_arc(self, distance: float, curvature: Array) -> _Posture | str:
         """Return the posture after a distance [m] along an arc from the tip on, or why there is none."""

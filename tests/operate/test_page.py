@@ -18,9 +18,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 import pinposture as pp
+from pinposture.collision.mapping import SEEN
 from pinposture.operate import Control, LivePage, Operation, SimulatedArm
 from pinposture.operate.page import bars_html, margins_of, status_html
-from pinposture.ros2.driver import CLOUDS, usual_limits
+from pinposture.ros2.driver import usual_limits
 from pinposture.sim import DepthCamera
 
 HELD = {"do": "hold", "ahead": -1.0, "left": 0.0, "up": 0.0, "override": 1.0}
@@ -158,6 +159,6 @@ def test_a_simulated_arm_moves_while_it_is_told_and_maps_what_it_sees() -> None:
     assert moved[0] == pytest.approx(-0.05 * arm.length, abs=0.02 * arm.length)
     until(lambda: len(simulated._map.cells.points) > 20, "the wall is seen")
     simulated.cycle()
-    cells = simulated.scene.obstacles[CLOUDS].points
+    cells = simulated.scene.obstacles[SEEN].points
     simulated.close()
     assert np.all(np.abs(cells[:, 0] - 0.23) < 0.01)

@@ -13,10 +13,10 @@ import pinocchio as pin
 import pytest
 
 import pinposture as pp
+from pinposture.collision.mapping import SEEN
 from pinposture.operate import Control, Operation
 from pinposture.ros2 import Driver, DriverSettings
 from pinposture.ros2.clouds import write_points
-from pinposture.ros2.driver import CLOUDS
 
 pytestmark = pytest.mark.long
 
@@ -305,7 +305,7 @@ def test_a_cloud_of_a_link_becomes_an_obstacle_and_one_of_an_unknown_frame_holds
     publisher.publish(write_points(seen, arm.tip, stamp))
 
     def seen_cells() -> np.ndarray:
-        return driver.tracker.scene.obstacles[CLOUDS].points
+        return driver.tracker.scene.obstacles[SEEN].points
 
     assert graph.run(lambda: len(seen_cells())), driver.reason
     apart = np.linalg.norm(box[:, None] - seen_cells()[None], axis=2)

@@ -162,6 +162,32 @@ def test_it_bends_as_far_as_joints_allow_and_says_so():
     assert path_deviation(steering.arm, [steering.q], steering.path, placement="as_is").percent < 5.0
 
 
+def test_what_was_refused_is_hardly_tried_again(monkeypatch):
+    tried = []
+    move = pp.Steering._move_on_arc
+    monkeypatch.setattr(
+        pp.Steering, "_move_on_arc", lambda *given: (tried.append(given[2][0]), move(*given))[1]
+    )
+    wall = pp.Scene({"wall": pp.Box((0.66, 0.0, 0.0), (0.1, 1.0, 1.0))}, margin=0.01, self_collision=False)
+    steering = pp.Steering(fed(), LIMITS, wall)
+    counts = []
+    for curvature in [1.0] * 60 + [-1.0]:
+        tried.clear()
+        steering.step(SPEED, (curvature, 0.0))
+        counts.append(len(tried))
+    assert steering.reason.startswith("stands: ")
+    assert counts[-1] == 5  # another direction
+    assert counts[0] == 1 and counts[-2] == 2
+    steering.scene = None
+    shares = []
+    for _ in range(5):
+        tried.clear()
+        steering.step(SPEED, (-1.0, 0.0))
+        shares.append(-tried[-1])
+    np.testing.assert_allclose(shares, [0.25, 0.5, 0.75, 1.0, 1.0])
+    assert steering.reason == ""
+
+
 def test_a_wall_stops_it_and_it_may_turn_away_or_withdraw():
     wall = pp.Scene({"wall": pp.Box((0.66, 0.0, 0.0), (0.1, 1.0, 1.0))}, margin=0.01, self_collision=False)
     arm = fed()
