@@ -522,14 +522,21 @@ class Avoidance:
         matrix = sides.matrix[near][:, self.objective.columns] * self.objective.units
         return LinearRows(root * matrix, root * wanted[near])
 
-    def clear_stop(self, state: ChainState, dq: Array) -> Array | None:
+    def clear_stop(self, state: ChainState, dq: Array, stopping: Array | None = None) -> Array | None:
         """Return the steps that stop the arm after a step, (k, nv) [rad or m]; None if it loses its margin.
 
         The last result is cached.
+
+        Args:
+            state: the state of the arm.
+            dq: the step, (nv,) [rad or m].
+            stopping: steps that stop the arm within its limits, (k, nv) [rad or m]; None: on a straight line.
         """
         known = self._stops
-        if known is None or known[0] is not state or not np.array_equal(known[1], dq):
-            stopping, share = self._stop_after(state, dq)
+        if stopping is not None or known is None or known[0] is not state or not np.array_equal(known[1], dq):
+            share = 0.0
+            if stopping is None:
+                stopping, share = self._stop_after(state, dq)
             least = self.margin - self._rounding
             steps = np.vstack([dq, stopping])
             clear = share <= 1.0 and self._lowest(state, steps, least) >= least
@@ -629,9 +636,11 @@ class Avoidance:
     def _brake_from(self, state: ChainState) -> Stop:
         """Return the steps that stop the arm at once, and their torques."""
         torques = self.torques_at(state)
+        known = self._known_stop
         if torques is not None:
-            known = self._known_stop
             return torques.stop() if known is None else Stop(known, torques.largest_share(known))
+        if known is not None:
+            return Stop(known, 0.0)
         bounds = self._bounds
         rooms = bounds.edges - state.raw_positions
         return Stop(stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), 0.0)

@@ -206,11 +206,18 @@ class PathProgress(NamedTuple):
         away = kernels.joint_distance(self.expected, state.raw_positions, chain.endless, chain.columns, units)
         return away <= MAX_DEVIATION
 
+    def is_expected(self, state: ChainState) -> bool:
+        """Whether the arm is at its expected position, up to rounding."""
+        if self.expected is None:
+            return False
+        off = state.raw_positions - self.expected
+        return bool(off.dot(off) <= BOX_SLACK**2)
+
     def can_stop(self, state: ChainState) -> bool:
         """Whether an arm that moves on a path timed within torque limits can stop on it."""
         if self.timed.torques is None or self.arrived or not self.speed > 0.0 or self.path.blocked_by:
             return False
-        return self.path.arm is state.arm and _is_expected(self, state)
+        return self.path.arm is state.arm and self.is_expected(state)
 
     def known_stop(self, state: ChainState, torques: StepTorques) -> Array | None:
         """Return steps that stop the arm within torque limits, (k, nv) [rad or m]; None if none are known.
@@ -387,7 +394,7 @@ def fast_step(
     known = ahead is not None and ahead.bounds is bounds and i < len(ahead.places)
     if known and bounds.brake is not None:
         known = previous is not None and np.array_equal(previous, cast(StepsAhead, ahead).dq[i - 1])
-    if ahead is None or not known or not _is_expected(progress, state):
+    if ahead is None or not known or not progress.is_expected(state):
         if len(objective.chain.joints) < len(arm.kinematics.columns):
             return None
         ahead = _steps_ahead(progress, state, bounds, previous)
@@ -400,15 +407,15 @@ def fast_step(
     before = ahead.errors[i]
     after = ahead.errors[i + 1]
     dq = ahead.dq[i].copy()
+    hindered = place <= progress.place
+    moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
     stopping = None
     messages = _NO_MESSAGES
     if avoidance is not None:
-        stopping = avoidance.clear_stop(state, dq)
+        stopping = _clear_stop(moved, state, dq, bounds, avoidance)
         if stopping is None:
             return None
         messages = _Messages.of(avoidance, state, path)
-    hindered = place <= progress.place
-    moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
     return Step(
         dq,
         objective.active,
@@ -457,14 +464,6 @@ def _rises(objective: Objective, before: float, after: float) -> bool:
     return after > before + ERROR_ROUNDING * objective.arm.length
 
 
-def _is_expected(progress: PathProgress, state: ChainState) -> bool:
-    """Whether the arm is at its expected position, up to rounding."""
-    if progress.expected is None:
-        return False
-    off = state.raw_positions - progress.expected
-    return bool(off.dot(off) <= BOX_SLACK**2)
-
-
 def _steps_ahead(
     progress: PathProgress, state: ChainState, bounds: JointBounds, previous: Array | None
 ) -> StepsAhead:
@@ -479,7 +478,7 @@ def _steps_ahead(
     count = 1 if timed.scheduled else STEPS_AHEAD
     if expected is None:
         expected = state.raw_positions
-    elif not _is_expected(progress, state):
+    elif not progress.is_expected(state):
         count = 1
     found = NextSteps(
         places=np.empty(count),
@@ -692,6 +691,35 @@ def stopping_on_path(progress: PathProgress) -> Array:
     return np.diff(path.smooth_offset(np.array(places)), axis=0)
 
 
+def _clear_stop(
+    moved: PathProgress, state: ChainState, dq: Array, bounds: JointBounds, avoidance: Avoidance
+) -> Array | None:
+    """Return steps that stop the arm clear after a step on its path, (k, nv) [rad or m]; None if none do.
+
+    On a straight line, or along the path, which is clear where a straight line leaves it.
+
+    Args:
+        moved: the progress after the step.
+        state: the state before it.
+        dq: the step, (nv,) [rad or m].
+        bounds: the limits of the joints.
+        avoidance: the obstacles to avoid.
+    """
+    found = avoidance.clear_stop(state, dq)
+    path = moved.path
+    brake = bounds.brake
+    if found is not None or brake is None or bounds.effort is not None or moved.timed.profile is None:
+        return found
+    off = path.offset_of(state, moved.place) + dq - path.smooth_offset(moved.place)
+    if np.any(np.abs(off) > ARRIVED * path.arm.joint_units):
+        return None
+    stopping = stopping_on_path(moved)
+    changes = np.diff(np.vstack([dq, stopping, np.zeros(len(dq))]), axis=0)
+    if np.any(np.abs(changes) > brake * (1.0 + LIMIT_ROUNDING)):
+        return None
+    return avoidance.clear_stop(state, dq, stopping)
+
+
 class CandidateStep(NamedTuple):
     """A step before the final checks.
 
@@ -781,7 +809,7 @@ def step_along(
     progress = progress.moved_to(place, bounds.travel, hindered)
     may_follow = inside and tasks is None
     may_stop = may_follow and avoidance is not None and avoidance.still
-    if may_stop and avoidance is not None and avoidance.clear_stop(state, dq) is not None:
+    if may_stop and avoidance is not None and _clear_stop(progress, state, dq, bounds, avoidance) is not None:
         return CandidateStep(dq, progress)  # without computing the rows of constraints
     step_bounds = StepBounds.of(objective, state, box, avoidance)
     wanted = objective.normalize(dq)

@@ -412,9 +412,13 @@ class _Situation:
 
     @cached_property
     def braking(self) -> Array | None:
-        """The steps that are known to stop the arm within torque limits, (k, nv); None: none."""
-        if self.torques is None or self.memory is None:
+        """The steps that are known to stop the arm within its limits, (k, nv); None: none."""
+        if self.memory is None:
             return None
+        if self.torques is None:
+            before = self.before
+            same = before is not None and before.timed.bounds is self.bounds and before.is_expected(self.state)
+            return self.memory.stopping if same else None
         if self.memory.stopping is not None:
             return self.memory.stopping
         return None if self.before is None else self.before.known_stop(self.state, self.torques)

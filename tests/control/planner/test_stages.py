@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from arms import template_arm
@@ -44,9 +46,9 @@ def followed(path: pp.TimedPath, q: np.ndarray, most: int = 2000) -> tuple[np.nd
     steps = []
     memory = None
     for _ in range(most):
-        step = pp.follow(path, arm().at(q), memory=memory)
+        step = pp.follow(path, path.path.arm.at(q), memory=memory)
         memory = step.memory
-        q = arm().integrate(q, step.dq)
+        q = path.path.arm.integrate(q, step.dq)
         if memory.progress.arrived:
             return np.array(configurations), steps
         configurations.append(q)
@@ -135,6 +137,38 @@ def test_an_arm_that_was_pushed_comes_back_to_its_path() -> None:
     place = memory.progress.place
     off = np.abs(q - (path.path.start + path.path.smooth_offset(place))).max()
     assert 0.0 < place < path.path.end and off < 1e-9
+
+
+def test_an_arm_stays_on_a_clear_path_though_a_straight_stop_would_leave_it() -> None:
+    short = template_arm("RyRz", 4)
+    q = short.neutral()
+    turn = np.linspace(0.0, 0.5 * np.pi, 33)
+    offsets = np.zeros((len(turn), short.nv))
+    offsets[:, 0] = 0.6 * np.sin(turn)
+    offsets[:, 1] = 0.6 * (1.0 - np.cos(turn))
+    target = pp.Target.from_configuration(short, short.integrate(q, offsets[-1]))
+    curve = pp.JointPath(pp.Geodesic().objective(short, target), q, offsets)
+    straight_on = offsets[16] + 0.3 * (offsets[16] - offsets[15]) / np.linalg.norm(offsets[16] - offsets[15])
+    beside = tuple(short.at(short.integrate(q, straight_on)).points[-1])
+    margin = 0.001
+    point = CollisionModel(short, pp.Scene({"ball": pp.Sphere(beside, 1e-6)}, self_collision=False))
+    on_curve = short.integrate(q, curve.smooth_offset(np.linspace(0.0, 32.0, 1000)))
+    radius = min(point.minimum(each).distance for each in on_curve) - margin - 0.0002
+    scene = pp.Scene({"ball": pp.Sphere(beside, radius)}, self_collision=False, margin=margin)
+    timed = pp.retime(replace(curve, scene=scene), TIMED)
+    configurations, steps = followed(timed, q)
+    assert len(steps) <= len(timed.places)
+    assert all(not step.near and not step.violated_constraints for step in steps)
+    assert np.abs(configurations - timed.configurations[: len(configurations)]).max() < 1e-9
+    # Nor does it leave it where it stops.
+    for number in (10, 25, 40):
+        memory = steps[number].memory
+        q = configurations[number + 1]
+        for _ in range(100):
+            memory = memory.braked(TIMED, short.at(q))
+            q = short.integrate(q, memory.dq)
+            assert CollisionModel(short, scene).minimum(q).distance >= margin
+        assert not memory.dq.any()
 
 
 def test_limits_that_become_smaller_on_the_way_hold_at_once() -> None:
