@@ -417,8 +417,9 @@ class _Situation:
             return None
         if self.torques is None:
             before = self.before
-            same = before is not None and before.timed.bounds is self.bounds and before.is_expected(self.state)
-            return self.memory.stopping if same else None
+            if before is None or before.timed.bounds is not self.bounds:
+                return None
+            return self.memory.stopping if before.is_expected(self.state) else None
         if self.memory.stopping is not None:
             return self.memory.stopping
         return None if self.before is None else self.before.known_stop(self.state, self.torques)
