@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm.kinematics import neutral_placements, read_joints
-from pinposture.kernels.arrays import OTHERWISE, Bodies, TorqueSamples
+from pinposture.kernels.arrays import OTHERWISE, TorqueSamples
 
 Array = NDArray[np.float64]
 
@@ -33,23 +33,23 @@ class Dynamics:
         self.dry_friction = np.maximum(model.upperDryFrictionLimit, -np.asarray(model.lowerDryFrictionLimit))
         placements = neutral_placements(model)
         numbers = list(range(1, model.njoints))
-        self._joints = read_joints(model, placements)
-        self.whole = bool(np.all(self._joints.kinds != OTHERWISE))
+        joints = read_joints(model, placements)
+        self.whole = bool(np.all(joints.kinds != OTHERWISE))
         if not self.whole:
             numbers = [model.getJointId(name) for name in chain]
-            self._joints = read_joints(model, placements, numbers)
+            joints = read_joints(model, placements, numbers)
         turns = np.array([placements[number].rotation for number in numbers])
         inertias = list(model.inertias)
         moments = np.array([inertias[number].inertia for number in numbers])
         moments = turns @ moments @ turns.transpose(0, 2, 1)
         levers = np.array([inertias[number].lever for number in numbers])
-        self._bodies = Bodies(
-            masses=np.array([inertias[number].mass for number in numbers]),
-            centers=np.ascontiguousarray(np.einsum("nij,nj->ni", turns, levers)),
-            inertias=np.ascontiguousarray(moments[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
-            armature=np.array(model.armature),
-            gravity=np.array(model.gravity.linear),
-        )
+        masses = np.array([inertias[number].mass for number in numbers])
+        centers = np.einsum("nij,nj->ni", turns, levers)
+        moments = moments[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        of_joints = [joints.axes.ravel(), joints.offsets.ravel(), joints.ratios]
+        of_bodies = [masses, centers.ravel(), moments.ravel(), np.array(model.armature)]
+        self._indices = np.concatenate([joints.parents, joints.kinds, joints.columns])
+        self._numbers = np.concatenate([*of_joints, *of_bodies, np.array(model.gravity.linear)])
 
     def gravity_torques(self, positions: Array, gravity: Array | None = None) -> Array:
         """Compute the torques and forces that balance gravity, (..., nv) [N m or N].
@@ -58,30 +58,43 @@ class Dynamics:
             positions: joint positions, (..., nv) [rad or m].
             gravity: gravitational acceleration, world frame, (3,) [m/s^2]; that of the model if None.
         """
-        bodies = self._bodies if gravity is None else self._bodies._replace(gravity=gravity)
+        numbers = self._numbers if gravity is None else np.append(self._numbers[:-3], gravity)
         rows = np.array(positions, ndmin=2)
         torques = np.empty(rows.shape)
-        kernels.gravity_torques(self._joints, bodies, rows, torques)
+        kernels.gravity_torques(self._indices, numbers, rows, torques)
         return torques.reshape(positions.shape)
 
     def gravity_gradient(self, positions: Array) -> Array:
         """Compute the change of these torques per joint motion at positions (nv,), (nv, nv); symmetric."""
         gradient = np.empty((len(positions), len(positions)))
-        kernels.gravity_gradient(self._joints, self._bodies, np.array(positions), gradient)
+        kernels.gravity_gradient(self._indices, self._numbers, _plain(positions), gradient)
         return gradient
 
     def inverse_dynamics(self, positions: Array, velocities: Array, accelerations: Array) -> Array:
         """Compute the torques and forces of motions, armature included, all (s, nv)."""
         torques = np.empty(positions.shape)
         kernels.inverse_dynamics(
-            self._joints,
-            self._bodies,
-            np.array(positions),
-            np.array(velocities),
-            np.array(accelerations),
+            self._indices,
+            self._numbers,
+            _plain(positions),
+            _plain(velocities),
+            _plain(accelerations),
             torques,
         )
         return torques
+
+    def step_torques(self, start: Array, moves: Array, dt: float) -> tuple[Array, Array]:
+        """Compute the torques of steps where they meet, in motion and at rest, (s, nv) each.
+
+        Args:
+            start: joint positions between the first two steps, (nv,) [rad or m].
+            moves: the steps, (s + 1, nv) [rad or m].
+            dt: duration of a step [s].
+        """
+        moving = np.empty((len(moves) - 1, len(start)))
+        held = np.empty(moving.shape)
+        kernels.step_torques(self._indices, self._numbers, _plain(start), _plain(moves), dt, moving, held)
+        return moving, held
 
     def path_torques(
         self, start: Array, offsets: Array, slopes: Array, samples: int, dt: float
@@ -98,6 +111,11 @@ class Dynamics:
         shape = (samples, len(start))
         filled = TorqueSamples(np.empty(shape), np.empty(shape), np.empty(shape))
         kernels.path_torques(
-            self._joints, self._bodies, np.array(offsets), np.array(slopes), np.array(start), dt, filled
+            self._indices, self._numbers, _plain(offsets), _plain(slopes), _plain(start), dt, filled
         )
         return filled
+
+
+def _plain(values: Array) -> Array:
+    """Return an array as kernels take it; itself if it is like that, because a copy takes 0.3 us."""
+    return values if values.flags.carray else np.array(values, dtype=np.float64)

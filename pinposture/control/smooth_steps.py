@@ -144,6 +144,7 @@ class RateCheck:
         speed = dq / duration
         mean_speed = 0.5 * (speed + self._speed)
         change = speed - self._speed
+        gentlest = change / max(before, duration)
         acceleration = change / (0.5 * (duration + before))
         jerk = (acceleration - self._acceleration) / ((earlier + before + duration) / 3.0)
         self._speed = speed
@@ -155,14 +156,11 @@ class RateCheck:
         words = self._compare("velocity", speed, bounds.bound / bounds.dt, DISPLACEMENT_ROUNDING / shortest)
         if bounds.acceleration is not None:
             most = bounds.acceleration / bounds.dt**2
-            words += self._compare(
-                "acceleration", change / max(before, duration), most, DISPLACEMENT_ROUNDING / shortest**2
-            )
+            words += self._compare("acceleration", gentlest, most, DISPLACEMENT_ROUNDING / shortest**2)
             if bounds.jerk is not None:
                 most = bounds.jerk / bounds.dt**3
                 words += self._compare("jerk", jerk, most, DISPLACEMENT_ROUNDING / shortest**3)
         if bounds.effort is not None and positions is not None:
-            gentlest = change / max(before, duration)
             torques = self._arm.dynamics.inverse_dynamics(positions[None], mean_speed[None], gentlest[None])
             load = heaviest_load(self._arm.drives, torques[0], bounds.effort)
             if load.share > 1.0 + RATE_ROUNDING:

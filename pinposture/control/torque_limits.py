@@ -48,10 +48,13 @@ class Stop(NamedTuple):
     Attributes:
         steps: the steps, (k, nv) [rad or m]; k = 0 if it stops at once.
         share: largest torque in them and in the steps before, relative to its limit.
+        held: torques that hold the arm still before, between and after all of these, (s, nv) [N m or N]; None
+            if they are not known.
     """
 
     steps: Array
     share: float
+    held: Array | None = None
 
 
 class Overload(NamedTuple):
@@ -117,13 +120,13 @@ class TorqueLimits:
 
     def violations(self, positions: Array) -> Array:
         """Return the largest excess over a limit at joint positions (s, nv), (s,) [m]; 0 if all are kept."""
-        return self._excess(self._arm.dynamics.gravity_torques(positions))
+        return self.excess(self._arm.dynamics.gravity_torques(positions))
 
     def violation(self, state: ChainState) -> float:
         """Return the largest excess over a limit at a state [m]; 0 if all are kept."""
-        return float(self._excess(state.gravity_torques[None])[0])
+        return float(self.excess(state.gravity_torques[None])[0])
 
-    def _excess(self, torques: Array) -> Array:
+    def excess(self, torques: Array) -> Array:
         """Return the largest excess of torques (s, nv) over a limit, (s,) [m]."""
         over = np.abs(torques[:, self._limited]) / self._effort[self._limited] - 1.0
         return np.asarray(self._length * over.max(axis=1, initial=0.0))
@@ -202,15 +205,15 @@ class StepTorques:
 
     def largest_share(self, steps: Array) -> float:
         """Return the largest torque of steps (k, nv) and of the rest after them, relative to its limit."""
-        rest = np.zeros((2, self._arm.nv))
+        return self.judged(steps).share
+
+    def judged(self, steps: Array, first: int = 0) -> Stop:
+        """Return steps (k, nv) that stop the arm with their torques; so many of them come before the stop."""
+        rest = np.zeros((1, self._arm.nv))
         moves = np.concatenate([self._previous[None], steps, rest])
-        before = moves[:-1]
-        after = moves[1:]
-        positions = self._positions + np.cumsum(before, axis=0) - self._previous
-        speeds = (before + after) / (2.0 * self._dt)
-        changes = (after - before) / self._dt**2
-        torques = self._arm.dynamics.inverse_dynamics(positions, speeds, changes)
-        return float((np.abs(torques) / self._effort).max())
+        moving, held = self._arm.dynamics.step_torques(self._positions, moves, self._dt)
+        largest = np.maximum(np.abs(moving).max(axis=0), np.abs(held[-1]))
+        return Stop(steps[first:], float((largest / self._effort).max()), held)
 
     def stop(self, dq: Array | None = None) -> Stop:
         """Find the steps that stop the arm on a straight line, if possible within torque limits.
@@ -230,7 +233,7 @@ class StepTorques:
             steps = stop(start, moving)
             if steps is None or (np.isfinite(best.share) and self._leaves_limits(start, moving, steps)):
                 continue
-            found = Stop(steps, self.largest_share(np.concatenate([first, steps])))
+            found = self.judged(np.concatenate([first, steps]), len(first))
             if found.share <= 1.0:
                 return found
             best = min(best, found, key=lambda stop: stop.share)

@@ -12,7 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import SLIDES, Array1, Array2, Bodies, Joints, Nine, Three, TorqueSamples
+from pinposture.kernels.arrays import (
+    SLIDES,
+    Array1,
+    Array2,
+    Bodies,
+    Ints1,
+    Joints,
+    Nine,
+    Three,
+    TorqueSamples,
+)
 from pinposture.kernels.compiled import compiled, inlined
 from pinposture.kernels.kinematics import rotation_about, turn_row
 
@@ -49,6 +59,36 @@ QUARTER_HIGH = float.fromhex("0x1.921fb544p0")
 QUARTER_MIDDLE = float.fromhex("0x1.0b4611a6p-34")
 QUARTER_LOW = float.fromhex("0x1.3198a2e037073p-69")
 """A quarter turn [rad], and three parts of it: 33 bits, the next 33, and what is left."""
+
+
+@inlined
+def unpack(indices: Ints1, numbers: Array1) -> tuple[Joints, Bodies]:
+    """Return joints and bodies as views of two arrays.
+
+    A call from Python takes 0.2 us for each array that it passes, and 0.9 us for a tuple.
+
+    Args:
+        indices: parents, kinds and columns of the joints, one after the other, (3 k,).
+        numbers: their axes, offsets and ratios; masses, centers and inertias of the bodies; armature of the
+            drives, and gravity, (17 k + nv + 3,).
+    """
+    k = len(indices) // 3
+    joints = Joints(
+        parents=indices[:k],
+        kinds=indices[k : 2 * k],
+        axes=numbers[: 3 * k].reshape((k, 3)),
+        offsets=numbers[3 * k : 6 * k].reshape((k, 3)),
+        columns=indices[2 * k :],
+        ratios=numbers[6 * k : 7 * k],
+    )
+    bodies = Bodies(
+        masses=numbers[7 * k : 8 * k],
+        centers=numbers[8 * k : 11 * k].reshape((k, 3)),
+        inertias=numbers[11 * k : 17 * k].reshape((k, 6)),
+        armature=numbers[17 * k : len(numbers) - 3],
+        gravity=numbers[len(numbers) - 3 :],
+    )
+    return joints, bodies
 
 
 @inlined
@@ -306,8 +346,8 @@ def sum_forces(joints: Joints, lanes: int, rows: Array2) -> None:
 
 @inlined
 def move_some(
-    joints: Joints,
-    bodies: Bodies,
+    indices: Ints1,
+    numbers: Array1,
     positions: Array2,
     velocities: Array2,
     accelerations: Array2,
@@ -315,6 +355,7 @@ def move_some(
     filled: Array2,
 ) -> None:
     """Compute `inverse_dynamics`, some motions at a time."""
+    joints, bodies = unpack(indices, numbers)
     rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * lanes))
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
@@ -333,8 +374,8 @@ def move_some(
 
 @compiled
 def inverse_dynamics(
-    joints: Joints,
-    bodies: Bodies,
+    indices: Ints1,
+    numbers: Array1,
     positions: Array2,
     velocities: Array2,
     accelerations: Array2,
@@ -343,22 +384,23 @@ def inverse_dynamics(
     """Compute the torques and forces of motions, by the recursive Newton-Euler algorithm.
 
     Args:
-        joints: the joints; none moves otherwise than it turns or slides.
-        bodies: what they carry.
+        indices: the joints, none of which moves otherwise than it turns or slides; see `unpack`.
+        numbers: those of joints and of what they carry; see `unpack`.
         positions: joint positions, (s, nv).
         velocities: joint velocities, (s, nv).
         accelerations: joint accelerations, (s, nv).
         filled: filled with the torques, (s, nv).
     """
     if len(positions) == 1:
-        move_some(joints, bodies, positions, velocities, accelerations, 1, filled)
+        move_some(indices, numbers, positions, velocities, accelerations, 1, filled)
     else:
-        move_some(joints, bodies, positions, velocities, accelerations, LANES, filled)
+        move_some(indices, numbers, positions, velocities, accelerations, LANES, filled)
 
 
 @inlined
-def lift_some(joints: Joints, bodies: Bodies, positions: Array2, lanes: int, filled: Array2) -> None:
+def lift_some(indices: Ints1, numbers: Array1, positions: Array2, lanes: int, filled: Array2) -> None:
     """Compute `gravity_torques`, some postures at a time."""
+    joints, bodies = unpack(indices, numbers)
     rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * lanes))
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
@@ -370,18 +412,62 @@ def lift_some(joints: Joints, bodies: Bodies, positions: Array2, lanes: int, fil
 
 
 @compiled
-def gravity_torques(joints: Joints, bodies: Bodies, positions: Array2, filled: Array2) -> None:
+def gravity_torques(indices: Ints1, numbers: Array1, positions: Array2, filled: Array2) -> None:
     """Compute the torques and forces that balance gravity, (s, nv); as `inverse_dynamics` at rest."""
     if len(positions) == 1:
-        lift_some(joints, bodies, positions, 1, filled)
+        lift_some(indices, numbers, positions, 1, filled)
     else:
-        lift_some(joints, bodies, positions, LANES, filled)
+        lift_some(indices, numbers, positions, LANES, filled)
+
+
+@compiled
+def step_torques(
+    indices: Ints1, numbers: Array1, start: Array1, moves: Array2, dt: float, moving: Array2, held: Array2
+) -> None:
+    """Compute the torques of steps where they meet, in motion and at rest.
+
+    Those of a motion have the mean velocity of the two steps, and the acceleration from one to the other.
+
+    Args:
+        indices: as for `inverse_dynamics`.
+        numbers: likewise.
+        start: joint positions between the first two steps, (nv,).
+        moves: the steps, (s + 1, nv).
+        dt: duration of a step.
+        moving: filled with the torques of the motion, (s, nv).
+        held: filled with those that hold the arm still there, (s, nv).
+    """
+    joints, bodies = unpack(indices, numbers)
+    positions = np.empty(moving.shape)
+    velocities = np.empty(moving.shape)
+    accelerations = np.empty(moving.shape)
+    for s in range(len(moving)):
+        for j in range(len(start)):
+            positions[s, j] = positions[s - 1, j] + moves[s, j] if s else start[j]
+            velocities[s, j] = (moves[s, j] + moves[s + 1, j]) / (2.0 * dt)
+            accelerations[s, j] = (moves[s + 1, j] - moves[s, j]) / dt**2
+    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * LANES))
+    g = bodies.gravity
+    upward = (-g[0], -g[1], -g[2])
+    for first in range(0, len(moving), LANES):
+        load_lanes(joints, positions, first, AXIS, LANES, rows)
+        load_lanes(joints, velocities, first, SPEED, LANES, rows)
+        load_lanes(joints, accelerations, first, CHANGE, LANES, rows)
+        place_bodies(joints, bodies, LANES, rows)
+        turn_inertias(bodies, LANES, rows)
+        lift_bodies(joints, bodies, upward, LANES, rows)
+        unload_lanes(joints, first, LANES, rows, held)
+        move_bodies_by(joints, bodies, upward, LANES, rows)
+        unload_lanes(joints, first, LANES, rows, moving)
+    for s in range(len(moving)):
+        for j in range(len(start)):
+            moving[s, j] += bodies.armature[j] * accelerations[s, j]
 
 
 @compiled
 def path_torques(
-    joints: Joints,
-    bodies: Bodies,
+    indices: Ints1,
+    numbers: Array1,
     offsets: Array2,
     slopes: Array2,
     start: Array1,
@@ -391,14 +477,15 @@ def path_torques(
     """Compute the torques along a path, the cubic curve through its waypoints.
 
     Args:
-        joints: as for `inverse_dynamics`.
-        bodies: likewise.
+        indices: as for `inverse_dynamics`.
+        numbers: likewise.
         offsets: displacement of each waypoint from the start, (N + 1, nv), N > 0.
         slopes: change of it per waypoint, (N + 1, nv).
         start: joint positions at the start, (nv,).
         dt: duration of a step; path speeds are in waypoints per step.
         filled: filled with the torques at equidistant places, from the start to the end.
     """
+    joints, bodies = unpack(indices, numbers)
     nv = len(start)
     pieces = len(offsets) - 1
     samples = len(filled.a)
@@ -446,7 +533,7 @@ def path_torques(
 
 
 @compiled
-def gravity_gradient(joints: Joints, bodies: Bodies, positions: Array1, filled: Array2) -> None:
+def gravity_gradient(indices: Ints1, numbers: Array1, positions: Array1, filled: Array2) -> None:
     """Compute the derivatives of the torques that balance gravity by joint positions.
 
     A joint turns what it carries, and with it the axes of later joints. So the torque -g . (a_i x p_i) of
@@ -454,11 +541,12 @@ def gravity_gradient(joints: Joints, bodies: Bodies, positions: Array1, filled: 
     j that carries it. The derivatives are symmetric: those of the potential energy.
 
     Args:
-        joints: as for `inverse_dynamics`.
-        bodies: likewise.
+        indices: as for `inverse_dynamics`.
+        numbers: likewise.
         positions: joint positions, (nv,).
         filled: filled with the derivatives, (nv, nv).
     """
+    joints, bodies = unpack(indices, numbers)
     count = len(joints.kinds)
     placed = np.empty((count + 1, ROW_SIZE))
     carried = np.zeros((count + 1, 4))  # sum of masses, and of masses times levers, from the tips to the base

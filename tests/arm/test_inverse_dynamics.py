@@ -153,6 +153,24 @@ def test_the_pass_agrees_with_pinocchio_on_coupled_joints_and_what_is_carried(ma
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-11)
 
 
+@each_arm
+def test_torques_of_steps_are_those_of_their_mean_speed_where_they_meet(make) -> None:
+    arm = make()
+    rng = np.random.default_rng(8)
+    start = arm.positions(arm.random(rng))
+    moves = rng.normal(scale=0.01, size=(12, arm.nv))
+    dt = 0.1
+    moving, held = arm.dynamics.step_torques(start, moves, dt)
+    data = arm.model.createData()
+    for k in range(11):
+        q = arm.configuration(start + moves[1 : k + 1].sum(axis=0))
+        speed = (moves[k] + moves[k + 1]) / (2.0 * dt)
+        exact = pin.rnea(arm.model, data, q, speed, (moves[k + 1] - moves[k]) / dt**2)
+        np.testing.assert_allclose(moving[k], exact, rtol=0, atol=1e-11)
+        exact = pin.computeGeneralizedGravity(arm.model, data, q)
+        np.testing.assert_allclose(held[k], exact, rtol=0, atol=1e-11)
+
+
 def test_torques_along_a_path_are_those_of_its_motion() -> None:
     arm = template_arm("RyRz", 4).with_payload(0.3)
     rng = np.random.default_rng(5)

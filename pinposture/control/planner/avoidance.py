@@ -534,15 +534,13 @@ class Avoidance:
         """
         known = self._stops
         if stopping is not None or known is None or known[0] is not state or not np.array_equal(known[1], dq):
-            share = 0.0
-            if stopping is None:
-                stopping, share = self._stop_after(state, dq)
+            stop = self._stop_after(state, dq) if stopping is None else Stop(stopping, 0.0)
             least = self.margin - self._rounding
-            steps = np.vstack([dq, stopping])
-            clear = share <= 1.0 and self._lowest(state, steps, least) >= least
+            steps = np.vstack([dq, stop.steps])
+            clear = stop.share <= 1.0 and self._lowest(state, steps, least) >= least
             if clear and self.constrained:
-                clear = not self._violates(state, steps, self.violation(state))
-            self._stops = known = state, dq, stopping if clear else None
+                clear = not self._violates(state, steps, self.violation(state), stop.held)
+            self._stops = known = state, dq, stop.steps if clear else None
         return known[2]
 
     def clear_step(self, state: ChainState, dq: Array) -> ClearStep:
@@ -561,9 +559,9 @@ class Avoidance:
         if stopping is not None:
             return ClearStep(dq, 1.0, stopping)
         rest = np.zeros((1, len(dq)))
-        braking, needed = self._brake_from(state)
-        strongest = max(needed, 1.0)
-        braking = np.vstack([braking, rest])
+        known = self._brake_from(state)
+        strongest = max(known.share, 1.0)
+        braking = np.vstack([known.steps, rest])
         # Obstacles keep moving when the arm has stopped, so that all steps are compared at the same time.
         until = max(len(braking), len(self._stop_after(state, dq).steps) + 1) if self.moving else 0
         now = self.near(state).minimum
@@ -591,7 +589,7 @@ class Avoidance:
             found = ClearStep(step, share, stop.steps, relaxed)
             steps = np.vstack([step, found.stopping])
             distance = self._lowest(state, steps, least, until)
-            if self._violates(state, steps, accepted):
+            if self._violates(state, steps, accepted, stop.held):
                 continue
             if distance >= least:
                 return found
@@ -614,15 +612,15 @@ class Avoidance:
         """
         for number in range(1, MAX_HALVINGS + 1):
             step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
-            stopping, share = self._stop_after(state, step)
-            if share > strongest:
+            stop = self._stop_after(state, step)
+            if stop.share > strongest:
                 return None
-            if self._lowest(state, np.vstack([step, stopping]), touching, until) >= touching:
+            if self._lowest(state, np.vstack([step, stop.steps]), touching, until) >= touching:
                 break
         else:
             if self.moving:
                 return None
-        return ClearStep(step, 0.0, stopping, (BRAKING_HARDER,))
+        return ClearStep(step, 0.0, stop.steps, (BRAKING_HARDER,))
 
     def _stop_after(self, state: ChainState, dq: Array) -> Stop:
         """Return the steps that stop the arm after a step, and their torques and those of the step."""
@@ -638,7 +636,7 @@ class Avoidance:
         torques = self.torques_at(state)
         known = self._known_stop
         if torques is not None:
-            return torques.stop() if known is None else Stop(known, torques.largest_share(known))
+            return torques.stop() if known is None else torques.judged(known)
         if known is not None:
             return Stop(known, 0.0)
         bounds = self._bounds
@@ -668,16 +666,28 @@ class Avoidance:
             times[-1] = self._dt * max(len(path) - 1, until)
         return self.clearance.minimum_on_motions(state.q, path, below, times=times).distance
 
-    def _violation_in(self, state: ChainState, steps: Array) -> float:
-        """Return the largest violation of a constraint during steps (k, nv) [m]."""
+    def _violation_in(self, state: ChainState, steps: Array, held: Array | None = None) -> float:
+        """Return the largest violation of a constraint during steps (k, nv) [m]; as for `_violates`."""
+        alone = None if self.constraints else self.torques
+        near = np.abs(steps).max(axis=0) <= SAMPLED_TURN * self.objective.arm.joint_units
+        if held is not None and alone is not None and near.all():
+            return float(alone.excess(held).max())
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
         return float(self._violations_along(state.q, path).max())
 
-    def _violates(self, state: ChainState, steps: Array, accepted: float) -> bool:
-        """Whether steps (k, nv) violate a constraint by more than is accepted [m], and than rounding."""
+    def _violates(self, state: ChainState, steps: Array, accepted: float, held: Array | None = None) -> bool:
+        """Whether steps violate a constraint by more than is accepted, and than rounding.
+
+        Args:
+            state: the state of the arm before them.
+            steps: the steps, (k, nv) [rad or m].
+            accepted: the largest violation that is accepted [m].
+            held: torques that hold the arm still before, between and after them, (k + 1, nv) [N m or N], if
+                they are known.
+        """
         if not self.constrained:
             return False
-        return self._violation_in(state, steps) > accepted + VIOLATION_ROUNDING * self._length
+        return self._violation_in(state, steps, held) > accepted + VIOLATION_ROUNDING * self._length
 
     def describe_violations(self, state: ChainState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin, and the constraints that are violated."""

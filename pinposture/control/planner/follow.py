@@ -505,14 +505,8 @@ def _steps_ahead(
 
 
 def _within_torques(progress: PathProgress, ahead: StepsAhead, torques: StepTorques) -> StepsAhead:
-    """Return steps on a path with those that stop the arm after them; none if these exceed torque limits.
-
-    On a schedule, where one is computed at a time, that step alone counts, and the profile tells that the arm
-    can stop.
-    """
+    """Return steps on a path with those that stop the arm after them; none if these exceed torque limits."""
     steps = ahead.dq[: len(ahead.places)]
-    if progress.timed.scheduled:
-        return ahead if torques.keep_limits(steps[0]) else ahead._replace(places=[])
     places = [progress.place, *ahead.places]
     stopping = stopping_on_path(progress._replace(place=places[-1], speed=places[-1] - places[-2]))
     kept = torques.largest_share(np.concatenate([steps, stopping])) <= 1.0

@@ -488,7 +488,7 @@ class TimedPath:
         """The torque limits that the profile keeps, (nv,) [N m or N]; None: none."""
         return profile_effort(self.path.arm, self.bounds, self.effort)
 
-    @property
+    @cached_property
     def is_held(self) -> bool:
         """Whether the motors hold the arm everywhere on the path, within the torque limits of its limits."""
         effort = self.bounds.effort

@@ -36,14 +36,18 @@ def timed_between(arm: pp.Arm, start: np.ndarray, goal: np.ndarray, limits: pp.L
 
 def largest_share(arm: pp.Arm, start: np.ndarray, offsets: np.ndarray, dt: float) -> float:
     """Largest torque of a motion given by its rows, from and to rest, relative to the limit."""
-    rows = np.pad(offsets, ((1, 1), (0, 0)), mode="edge")
-    steps = np.diff(rows, axis=0) / dt
+    moves = np.diff(np.pad(offsets, ((1, 1), (0, 0)), mode="edge"), axis=0)
+    return share_of_steps(arm, pin.integrate(arm.model, start, offsets[0]), moves, dt)
+
+
+def share_of_steps(arm: pp.Arm, q: np.ndarray, moves: np.ndarray, dt: float) -> float:
+    """Largest torque where steps meet, the first two of them at q, relative to the limit."""
     data = arm.model.createData()
     share = 0.0
-    for row, before, after in zip(rows[1:-1], steps[:-1], steps[1:], strict=True):
-        q = pin.integrate(arm.model, start, row)
+    for before, after in zip(moves[:-1] / dt, moves[1:] / dt, strict=True):
         torques = pin.rnea(arm.model, data, q, (before + after) / 2.0, (after - before) / dt)
         share = max(share, float((np.abs(torques) / arm.effort).max()))
+        q = pin.integrate(arm.model, q, after * dt)
     return share
 
 
@@ -441,3 +445,33 @@ def test_an_arm_brakes_on_its_path_among_the_obstacles_that_there_are_now() -> N
         memory = step.memory
         assert memory.progress.path.scene is scene
     assert memory.progress.can_stop(arm.chain_at(q))
+
+
+class Watched(pp.Geodesic):
+    """Keeps the steps that it takes."""
+
+    def step(self, state, target, limits, memory=None):
+        found = super().step(state, target, limits, memory)
+        self.__dict__.setdefault("taken", []).append((state.q, found))
+        return found
+
+
+def test_each_step_of_a_schedule_comes_with_a_stop_within_limits() -> None:
+    arm = template_arm("RyRz", 5)
+    rng = np.random.default_rng(2)
+    places = [smooth_configuration(arm, rng, 0.4) for _ in range(3)]
+    effort = 1.6 * float(np.abs([arm.at(q).gravity_torques for q in places]).max())
+    limits = pp.Limits(step=None, velocity=2.0, dt=0.02, effort=effort)
+    keyframes = [pp.Keyframe(joints=tuple(q), time=0.6 * k) for k, q in enumerate(places)]
+    controller = Watched()
+    assert pp.move_through(arm, keyframes, limits=limits, controller=controller).run.converged
+    scheduled = [(q, step) for q, step in controller.taken if step.memory.progress.timed.scheduled]
+    assert sum(step.memory.progress.ahead is not None for _, step in scheduled) > 20
+    rest = np.zeros(arm.nv)
+    before = rest
+    for q, step in scheduled:
+        ahead = step.memory.progress.ahead
+        if ahead is not None:
+            moves = np.vstack([before, step.dq, ahead.stopping, rest])
+            assert share_of_steps(arm.with_effort(effort), q, moves, limits.dt) <= 1.0 + 1e-9
+        before = step.dq
