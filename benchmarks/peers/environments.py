@@ -1,7 +1,7 @@
 """Virtual environments for the peers, under build/bench: made when first needed, kept until `make clean`.
 
-This library, pink and mink share one, so that they run on the same NumPy, Pinocchio and DAQP. Placo pins
-another Pinocchio and has its own. What cannot be installed is left out, with the reason.
+This library, pink, mink, OMPL and roboplan share one, so that they run on the same NumPy, Pinocchio and
+DAQP. Placo pins another Pinocchio and has its own. What cannot be installed is left out, with the reason.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ ENVIRONMENTS = {
     "ours": Recipe("peers", ("--editable", str(ROOT)), "pinposture"),
     "pink": Recipe("peers", ("pin-pink", "qpsolvers", "daqp"), "pink"),
     "mink": Recipe("peers", ("mink", "mujoco", "qpsolvers", "daqp"), "mink"),
+    "ompl": Recipe("peers", ("ompl",), "ompl"),
+    "roboplan": Recipe("peers", ("roboplan",), "roboplan.rrt"),
     "placo": Recipe("placo", ("placo",), "placo"),
     "toppra": Recipe("toppra", ("toppra", "pin"), "toppra"),
     "ruckig": Recipe("ruckig", ("ruckig",), "ruckig"),

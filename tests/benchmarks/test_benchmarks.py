@@ -80,6 +80,32 @@ def test_a_tiny_run_without_peers(tmp_path: Path) -> None:
     assert "before" in ran.stdout
 
 
+@pytest.mark.studies
+def test_planners_that_are_not_installed_are_left_out() -> None:
+    command = [sys.executable, "-m", "benchmarks.peers.clutter", "--here", "--kinds", "coil", "--seeds", "1"]
+    ran = subprocess.run(
+        [*command, "--json"], check=True, capture_output=True, text=True, timeout=120, cwd=ROOT
+    )
+    rows = json.loads(ran.stdout)
+    assert "ompl is left out: no ompl here" in ran.stderr
+    assert [(row["planner"], row["solved"], row["kept_margin"]) for row in rows] == [("ours", 1, 1)]
+    assert 0.0 < rows[0]["first_time"][0] <= rows[0]["time"][0]
+    assert 1.0 <= rows[0]["ratio"] <= rows[0]["first_ratio"] + 1e-9
+
+
+@pytest.mark.long
+def test_a_problem_with_more_joints_has_the_same_postures() -> None:
+    from benchmarks.peers.clutter import drawn
+
+    (_, coarse), (_, fine) = (next(drawn("hole", 0, 1, joints)) for joints in (40, 80))
+    assert fine.arm.nv == 80
+    for one, other in ((coarse.start, fine.start), (coarse.target.q, fine.target.q)):
+        points = coarse.arm.chain_at(one).points
+        finer = fine.arm.chain_at(other).points
+        apart = np.linalg.norm(points[:, None] - finer, axis=2).min(axis=1)
+        assert apart.max() < 0.02  # of an arm of 1 m, in steps of 25 mm
+
+
 def printed(study: str, *options: str) -> Any:
     """What a study prints as JSON."""
     command = [sys.executable, "-m", f"benchmarks.studies.{study}", "--json", *options]
