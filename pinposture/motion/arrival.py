@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.motion import tolerances
+from pinposture.motion.tolerances import ARRIVAL, REST, STALL
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Arrival:
     """
 
     def __init__(self, length: float) -> None:
-        self._tolerance = tolerances.ARRIVAL * length
+        self._tolerance = ARRIVAL.distance * length
         self._last: tuple[Array, Array] | None = None
         self.restart()
 
@@ -78,11 +78,11 @@ class Arrival:
         self._count += 1
         self._time += dt
         enough = (
-            self._different >= tolerances.AVERAGED_READINGS
+            self._different >= ARRIVAL.averaged_readings
             or not self._different
-            or self._time >= tolerances.LONGEST_TIME
+            or self._time >= ARRIVAL.longest_time
         )
-        if enough and self._time >= tolerances.AVERAGED_TIME and self._count >= tolerances.AVERAGED_READINGS:
+        if enough and self._time >= ARRIVAL.averaged_time and self._count >= ARRIVAL.averaged_readings:
             self._judge(target)
             self._begin()
 
@@ -98,17 +98,17 @@ class Arrival:
             variance = self._changes / (2.0 * self._different**2 * len(mean))  # of the average
         kept = self._variance if self.arrived and self._variance is not None else variance
         self._variance = 0.5 * (kept + variance)
-        noise = tolerances.DEVIATIONS * float(np.sqrt(self._variance))
+        noise = ARRIVAL.deviations * float(np.sqrt(self._variance))
         within = self._tolerance + noise
         off = target.mean_distance(mean)
         if self.arrived:
-            self.arrived = off <= tolerances.LEAVING * within
+            self.arrived = off <= ARRIVAL.leaving * within
         else:
-            approaches = off < tolerances.APPROACH * self._off
-            self.arrived = off <= within and drift <= tolerances.DRIFT * within and not approaches
+            approaches = off < ARRIVAL.approach * self._off
+            self.arrived = off <= within and drift <= ARRIVAL.drift * within and not approaches
         self._off = off
-        most = tolerances.DRIFT * noise + tolerances.STANDING_DRIFT * off
-        still = drift <= (tolerances.LEAVING * most if self.standing else most)
+        most = ARRIVAL.drift * noise + REST.standing_drift * off
+        still = drift <= (ARRIVAL.leaving * most if self.standing else most)
         self.standing = self.standing + self._time if still else 0.0
 
 
@@ -133,8 +133,8 @@ class Blockage:
 
     def __init__(self, arm: Arm, time_constant: float) -> None:
         self._arm = arm
-        self._settling_time = tolerances.AVERAGES * time_constant
-        self.patience = tolerances.PATIENCE + self._settling_time
+        self._settling_time = STALL.averages * time_constant
+        self.patience = STALL.patience + self._settling_time
         self.restart()
 
     def restart(self) -> None:
@@ -155,7 +155,7 @@ class Blockage:
         self._rested = 0.0
         if distances is None:
             return
-        gain = tolerances.GAIN * self._arm.length
+        gain = STALL.gain * self._arm.length
         closer = {name: at for name, at in distances.items() if at < self._least.get(name, np.inf) - gain}
         self._least.update(closer)
         self._time = 0.0 if closer else self._time + dt
@@ -174,5 +174,5 @@ class Blockage:
         found = np.zeros(self._arm.nv) if displacement is None else displacement
         if self._displacement is None:
             self._displacement = found
-        if np.any(np.abs(found - self._displacement) > tolerances.OTHER_DISPLACEMENT * self._arm.joint_units):
+        if np.any(np.abs(found - self._displacement) > STALL.other_displacement * self._arm.joint_units):
             self.restart()

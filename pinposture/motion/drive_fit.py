@@ -15,30 +15,44 @@ from pinposture._validation import SMALLEST_NUMBER
 
 Array = NDArray[np.float64]
 
-SEGMENTS = 10
-"""Segments of which each is left out in turn."""
 
-FEWEST_SEGMENTS = 5
-"""Fewest segments with measurements of a joint, for an interval of its parameters."""
+class DriveFitSettings(NamedTuple):
+    """How the parameters of drives and their intervals are found (`benchmarks.studies.identification`)."""
 
-UNCORRELATED = 0.1
-"""Autocorrelation from which on deviations count as independent."""
+    segments: int = 10
+    """Segments of which each is left out in turn."""
 
-CONFIDENCE = 0.95
-"""How often intervals are to cover the truth; see `benchmarks.studies.identification`."""
+    fewest_segments: int = 5
+    """Fewest segments with measurements of a joint, for an interval of its parameters."""
 
-LONGEST_LAG = 10.0
-SHORTEST_LAG = 1e-4
-LONGEST_DELAY = 0.5
-"""Bounds of the fit [s]. It allows negative delays: at a bound of zero, intervals would be too narrow."""
+    uncorrelated: float = 0.1
+    """Autocorrelation from which on deviations count as independent."""
 
-FIRST_GUESSES = ((0.05, 0.02, 0.02), (0.3, 0.02, 0.1), (1.0, 0.02, 0.02), (0.1, 0.2, 0.05))
-"""Lag [s], delay [s], and friction in relation to the motion of the commands, from which fits begin. In 200
-draws of drives the first two found the best of ten starts in all but three cases."""
+    confidence: float = 0.95
+    """How often intervals are to cover the truth; see `benchmarks.studies.identification`."""
 
-STEP = 1e-4
-"""Step of finite differences: of lag and delay [s], of others in relation to their range. Positions are
-continuous in all parameters, and exact, so that 1e-6 gives the same."""
+    longest_lag: float = 10.0
+    shortest_lag: float = 1e-4
+    longest_delay: float = 0.5
+    """Bounds of the fit [s]. It allows negative delays: at a bound of zero, intervals would be too
+    narrow."""
+
+    first_guesses: tuple[tuple[float, float, float], ...] = (
+        (0.05, 0.02, 0.02),
+        (0.3, 0.02, 0.1),
+        (1.0, 0.02, 0.02),
+        (0.1, 0.2, 0.05),
+    )
+    """Lag [s], delay [s], and friction in relation to the motion of the commands, from which fits begin. In
+    200 draws of drives the first two found the best of ten starts in all but three cases."""
+
+    step: float = 1e-4
+    """Step of finite differences: of lag and delay [s], of others in relation to their range. Positions are
+    continuous in all parameters, and exact, so that 1e-6 gives the same."""
+
+
+DRIVE_FIT = DriveFitSettings()
+
 
 LAG = 0
 DELAY = 1
@@ -120,7 +134,7 @@ def jackknife(value: float, left_out: Array, widening: float = 1.0) -> tuple[flo
     """Return a value and its interval, given the values without each segment, (s,), widened by a factor."""
     count = len(left_out)
     deviation = np.sqrt((count - 1.0) / count * np.sum((left_out - left_out.mean()) ** 2))
-    half = widening * float(stdtrit(count - 1, 0.5 + CONFIDENCE / 2.0) * deviation)
+    half = widening * float(stdtrit(count - 1, 0.5 + DRIVE_FIT.confidence / 2.0) * deviation)
     return value, value - half, value + half
 
 
@@ -133,7 +147,7 @@ def fit_drives(series: Sequence[Series], loads: int = 0, free: Sequence[int] = (
         free: places of the parameters that are fitted; the others are zero. Empty: all.
     """
     problem = _Problem(series, loads, tuple(free) or tuple(range(COMPLIANCE + loads)))
-    found = [problem.solve(problem.begin(start)) for start in FIRST_GUESSES]
+    found = [problem.solve(problem.begin(start)) for start in DRIVE_FIT.first_guesses]
     best = min(found, key=lambda each: each[1])[0]
     segments = np.unique(np.concatenate([each.segments for each in series]))
     left_out = np.array([problem.solve(best, int(segment))[0] for segment in segments])
@@ -166,7 +180,7 @@ def _widening(series: Sequence[Series], parameters: Array) -> float:
         pieces += len(np.unique(each.segments))
     if not len(total) or total[0] <= 0.0:
         return 1.0
-    low = np.flatnonzero(total < UNCORRELATED * total[0])
+    low = np.flatnonzero(total < DRIVE_FIT.uncorrelated * total[0])
     correlation = step * float(total[: low[0] if len(low) else None].sum() / total[0])
     ratio = correlation / (span / pieces)
     return float(1.0 / np.sqrt(1.0 - ratio * (1.0 - np.exp(-1.0 / ratio))))
@@ -187,9 +201,14 @@ class _Problem:
         largest = np.array([[np.abs(row).max() for row in each.torques] for each in series]).max(axis=0)
         compliances = self._span / np.where(largest > SMALLEST_NUMBER, largest, 1.0)
         scales = np.array([0.1, 0.02, 0.05 * self._span, *(0.05 * compliances)])[: self._size]
-        steps = np.array([STEP, STEP, STEP * self._span, *(STEP * compliances)])[: self._size]
-        lower = np.array([SHORTEST_LAG, -LONGEST_DELAY, 0.0, -np.inf, -np.inf])[: self._size]
-        upper = np.array([LONGEST_LAG, LONGEST_DELAY, self._span, np.inf, np.inf])[: self._size]
+        settings = DRIVE_FIT
+        steps = (settings.step * np.array([1.0, 1.0, self._span, *compliances]))[: self._size]
+        lower = np.array([settings.shortest_lag, -settings.longest_delay, 0.0, -np.inf, -np.inf])[
+            : self._size
+        ]
+        upper = np.array([settings.longest_lag, settings.longest_delay, self._span, np.inf, np.inf])[
+            : self._size
+        ]
         self._scales = scales[self._free]
         self._steps = steps[self._free]
         self._bounds = lower[self._free], upper[self._free]
@@ -278,7 +297,7 @@ def fit_gain(series: Sequence[Series], delay: float) -> tuple[tuple[float, float
     y = np.concatenate(efforts)
     where = np.concatenate(segments)
     folds = [where != segment for segment in np.unique(where)]
-    if len(folds) < FEWEST_SEGMENTS or not (x @ x > 0.0 and y @ y > 0.0):
+    if len(folds) < DRIVE_FIT.fewest_segments or not (x @ x > 0.0 and y @ y > 0.0):
         return None, 0.0
     gain = float(x @ y / (x @ x))
     left_out = np.array([x[kept] @ y[kept] / max(x[kept] @ x[kept], 1e-300) for kept in folds])

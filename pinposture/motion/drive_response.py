@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,32 +15,40 @@ from pinposture.schema import Declared, Duration, JointDistance, Time, declared
 
 Array = NDArray[np.float64]
 
-FOLLOW_TIME = 0.2
-"""Time for which a command moves on before a joint that stands counts as stopped [s]. Delays of drives and
-readings together are shorter: 0.14 s and 0.05 s in logs of robots. A joint that starts later than that costs
-a short hold."""
 
-LEAD_FACTOR = 2.0
-LEAD_MARGIN = 0.05
-"""The command moves a joint for certain by twice the largest lead at which joints began to move before, as
-friction holds on either side, and this much more, in `Arm.joint_units`."""
+class DriveResponseSettings(NamedTuple):
+    """When a drive counts as stopped, started, or too coarse."""
 
-RETRY_TIME = 2.0
-"""Time after which a stopped joint is tried again if no lead tells when it runs [s]."""
+    follow_time: float = 0.2
+    """Time for which a command moves on before a joint that stands counts as stopped [s]. Delays of drives
+    and readings together are shorter: 0.14 s and 0.05 s in logs of robots. A joint that starts later than
+    that costs a short hold."""
 
-OVERSHOOTS = 3
-"""How often a joint may come to rest beyond its target before its drive counts as too coarse."""
+    lead_factor: float = 2.0
+    lead_margin: float = 0.05
+    """The command moves a joint for certain by twice the largest lead at which joints began to move before,
+    as friction holds on either side, and this much more, in `Arm.joint_units`."""
 
-NOTICED = 1.5
-"""Motion by which the start of a stopped joint is noticed, relative to the smallest that counts as motion."""
+    retry_time: float = 2.0
+    """Time after which a stopped joint is tried again if no lead tells when it runs [s]."""
 
-NOISE = 5e-4
-"""Noise of measurements that is assumed at first, in `Arm.joint_units`; 3e-4 rad in logs of a robot."""
+    overshoots: int = 3
+    """How often a joint may come to rest beyond its target before its drive counts as too coarse."""
+
+    noticed: float = 1.5
+    """Motion by which the start of a stopped joint is noticed, relative to the smallest that counts as
+    motion."""
+
+    noise: float = 5e-4
+    """Noise of measurements that is assumed at first, in `Arm.joint_units`; 3e-4 rad in logs of a robot."""
+
+    errors: float = 4.0
+    """Deviation from a model of drives that is usual, in its `DriveModel.error`: slow disturbances are no
+    white noise, so that three standard deviations would not do. tests/motion/test_drive_response.py bounds
+    it."""
 
 
-ERRORS = 4.0
-"""Deviation from a model of drives that is usual, in its `DriveModel.error`: slow disturbances are no white
-noise, so that three standard deviations would not do. tests/motion/test_drive_response.py bounds it."""
+DRIVE_RESPONSE = DriveResponseSettings()
 
 
 @declared()
@@ -73,7 +83,7 @@ class DriveModel(Declared):
     @property
     def tracking_error(self) -> float:
         """How far a joint may be from where the model has it while nothing is wrong [rad or m]."""
-        return self.starting_lead + ERRORS * self.error
+        return self.starting_lead + DRIVE_RESPONSE.errors * self.error
 
     def lead(self, velocities: Array, slow: Array) -> Array:
         """Return how far ahead of their positions joints have to be commanded to move, (n,) [rad or m].
@@ -89,8 +99,8 @@ class DriveResponse:
     """Watches measured positions beside commanded ones, for all joints.
 
     A joint at rest is stopped by its drive, or its encoder is frozen, if the command moves on by more than
-    any joint has needed to start, and nothing moves for `FOLLOW_TIME`. The lead that friction needs is
-    learned from each start; all joints count together, as the drives of an arm are mostly alike.
+    any joint has needed to start, and nothing moves for `DRIVE_RESPONSE.follow_time`. The lead that friction
+    needs is learned from each start; all joints count together, as the drives of an arm are mostly alike.
 
     Attributes:
         stopped: which joints do not follow, (nv,).
@@ -125,7 +135,7 @@ class DriveResponse:
             waiting=np.zeros(nv),
             leads=self._leads,
             readings=np.array([positions, positions]),
-            variances=(NOISE * self.arm.joint_units) ** 2,
+            variances=(DRIVE_RESPONSE.noise * self.arm.joint_units) ** 2,
             errors=np.zeros(nv),
             commands=positions.copy(),
             overshoots=np.zeros(nv),
@@ -145,7 +155,9 @@ class DriveResponse:
     def band(self) -> float:
         """Motion of the command that moves a joint for certain, in `Arm.joint_units`."""
         largest = float((self._leads / self.arm.joint_units).max())
-        return self._unknown if largest < 0.0 else LEAD_FACTOR * largest + LEAD_MARGIN
+        if largest < 0.0:
+            return self._unknown
+        return DRIVE_RESPONSE.lead_factor * largest + DRIVE_RESPONSE.lead_margin
 
     @property
     def moved(self) -> bool:
@@ -173,7 +185,7 @@ class DriveResponse:
         if self.stopped.any():
             self._watch_stopped(dt)
         elif self._blocked.any():
-            stopped = self._blocked & (self.history.waiting > FOLLOW_TIME)
+            stopped = self._blocked & (self.history.waiting > DRIVE_RESPONSE.follow_time)
             if stopped.any():
                 self._hold(stopped, measured, sent)
 
@@ -193,7 +205,7 @@ class DriveResponse:
         lead = sent - measured
         travel = np.where((sent - self.history.starts) * lead > 0.0, sent - self.history.starts, 0.0)
         ahead = np.abs(travel) > self._starting_lead()
-        standing = ahead & (self.history.standing > FOLLOW_TIME)
+        standing = ahead & (self.history.standing > DRIVE_RESPONSE.follow_time)
         if standing.any():
             self._hold(self.stopped | standing, measured, sent)
 
@@ -210,9 +222,9 @@ class DriveResponse:
         units = self.arm.joint_units
         noise = np.sqrt(self.history.variances) / units
         response = JOINT_RESPONSE
-        noticed = NOTICED * np.clip(response.moved_deviations * noise, response.moved, response.most_moved)
+        moved = np.clip(response.moved_deviations * noise, response.moved, response.most_moved)
         known = max(float((self._leads / units).max()), 0.0)
-        return np.asarray((known + noticed) * units)
+        return np.asarray((known + DRIVE_RESPONSE.noticed * moved) * units)
 
     def _watch_stopped(self, dt: float) -> None:
         """Release the joints that follow again."""
@@ -221,7 +233,7 @@ class DriveResponse:
         moved = (self.history.anchors - self._found) * self._direction
         self.stopped = self.stopped & (moved < least)
         if not self.stopped.any() or (
-            not (self._positions_sent and self.moved) and self._stopped_for > RETRY_TIME
+            not (self._positions_sent and self.moved) and self._stopped_for > DRIVE_RESPONSE.retry_time
         ):
             self.retry()
 
@@ -229,5 +241,5 @@ class DriveResponse:
     def compensable(self) -> NDArray[np.bool_]:
         """Joints whose commands may go farther against their errors, (nv,)."""
         history = self.history
-        coarse = (history.overshoots >= OVERSHOOTS) & (np.abs(history.errors) <= history.steps)
+        coarse = (history.overshoots >= DRIVE_RESPONSE.overshoots) & (np.abs(history.errors) <= history.steps)
         return ~(self._blocked | self.stopped | coarse)

@@ -13,48 +13,50 @@ from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import FULL_TURN
 from pinposture.errors import InvalidValue
-from pinposture.motion.drive_response import (
-    FOLLOW_TIME,
-    LEAD_FACTOR,
-    LEAD_MARGIN,
-    DriveModel,
-    DriveResponse,
-)
+from pinposture.motion.drive_response import DRIVE_RESPONSE, DriveModel, DriveResponse
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-FEEDBACK_TOLERANCE = 1e-7
-"""Change of the feedback that is too small to update a target, in `Arm.joint_units`, and in arm lengths."""
 
-MAX_POINT_OFFSET = 0.25
-"""Distance of a measured control point from forward kinematics that discards it, in arm lengths."""
+class FeedbackSettings(NamedTuple):
+    """How measurements of the arm correct its command."""
+
+    tolerance: float = 1e-7
+    """Change of the feedback that is too small to update a target, in `Arm.joint_units`, and in arm
+    lengths."""
+
+    max_point_offset: float = 0.25
+    """Distance of a measured control point from forward kinematics that discards it, in arm lengths."""
+
+    tracking_error: float = 0.3
+    """Tracking error that is allowed of drives of which nothing is known, in `Arm.joint_units`."""
+
+    longest_lag: float = 0.5
+    """Longest time constant of drives that lag behind their commands [s]; 0.18 to 0.38 s in logs of
+    robots."""
+
+    usual_lead: float = 0.75
+    """Lead that may be needed to start a joint that has not moved yet, in tracking errors that are allowed:
+    0.225 rad by default. Friction in logs of a snake corresponds to 0.06 to 0.21 rad."""
+
+    slowest_average: float = 4.0 * longest_lag
+    """Longest time over which the displacement of the arm from its command is averaged [s]. An arm that
+    evades obstacles by its average does not oscillate if the lag is at most a quarter of it (see
+    `Feedback`)."""
+
+    average_deviations: float = 3.0
+    """Change of an average that noise explains, in its standard deviations."""
+
+    limit_noise: float = 1e-3
+    """Excess of a measured position over a limit that is attributed to noise, in `Arm.joint_units`: three
+    standard deviations of the encoders of a robot, 3e-4 rad."""
+
+    limit_tolerance: float = 1e-6
+    """Distance from a limit that counts as being there, in `Arm.joint_units`, or relative."""
 
 
-TRACKING_ERROR = 0.3
-"""Tracking error that is allowed of drives of which nothing is known, in `Arm.joint_units`."""
-
-LONGEST_LAG = 0.5
-"""Longest time constant of drives that lag behind their commands [s]; 0.18 to 0.38 s in logs of robots."""
-
-USUAL_LEAD = 0.75
-"""Lead that may be needed to start a joint that has not moved yet, in tracking errors that are allowed: 0.225
-rad by default. Friction in logs of a snake corresponds to 0.06 to 0.21 rad."""
-
-
-SLOWEST_AVERAGE = 4.0 * LONGEST_LAG
-"""Longest time over which the displacement of the arm from its command is averaged [s]. An arm that evades
-obstacles by its average does not oscillate if the lag is at most a quarter of it (see `Feedback`)."""
-
-AVERAGE_DEVIATIONS = 3.0
-"""Change of an average that noise explains, in its standard deviations."""
-
-LIMIT_NOISE = 1e-3
-"""Excess of a measured position over a limit that is attributed to noise, in `Arm.joint_units`: three
-standard deviations of the encoders of a robot, 3e-4 rad."""
-
-LIMIT_TOLERANCE = 1e-6
-"""Distance from a limit that counts as being there, in `Arm.joint_units`, or relative."""
+FEEDBACK = FeedbackSettings()
 
 
 class Measurement(NamedTuple):
@@ -88,11 +90,11 @@ def read_measurement(arm: Arm, given: ArrayLike | Mapping[str, float]) -> Measur
 
 
 def without_noise_at_limits(arm: Arm, measured: Measurement) -> Measurement:
-    """Return a measurement with joints at their limits that are beyond them by no more than `LIMIT_NOISE`."""
+    """Return a measurement with joints at their limits that are beyond them by noise at most."""
     positions = arm.positions(measured.q) if measured.positions is None else measured.positions
     inside = np.minimum(np.maximum(positions, arm.limits.lower), arm.limits.upper)
     change = inside - positions
-    change[np.abs(change) > LIMIT_NOISE * arm.joint_units] = 0.0
+    change[np.abs(change) > FEEDBACK.limit_noise * arm.joint_units] = 0.0
     if not np.any(change):
         return measured
     counted = None if measured.positions is None else positions + change
@@ -148,7 +150,8 @@ class FeedbackState(NamedTuple):
             measurement; None before the first measurement.
         reason: why the arm must hold; empty if it need not.
         tracking_error: largest distance of a measured joint position from where drives with their lag, or one
-            of up to `LONGEST_LAG`, would be, in `Arm.joint_units`; None without a usable measurement.
+            of up to `FEEDBACK.longest_lag`, would be, in `Arm.joint_units`; None without a usable
+            measurement.
         held: where to hold: the command, with joints that do not follow it back at their measurements. None:
             the arm brakes and holds.
         failures: joints that do not do what they are commanded, from base to tip.
@@ -218,16 +221,16 @@ class Feedback:
         self.deviation = np.zeros((arm.n_modules, 3))
         self.settled = False
         self._time_constant = time_constant
-        self._most_compensated = TRACKING_ERROR if max_tracking_error is None else max_tracking_error
+        self._most_compensated = FEEDBACK.tracking_error if max_tracking_error is None else max_tracking_error
         if drives is None:
-            self._lag = LONGEST_LAG
+            self._lag = FEEDBACK.longest_lag
             allowed = self._most_compensated
-            lead = USUAL_LEAD * (allowed if isfinite(allowed) else 1.0)
+            lead = FEEDBACK.usual_lead * (allowed if isfinite(allowed) else 1.0)
         else:
             unit = arm.characteristic_length if np.all(arm.in_metres) else 1.0
             self._lag = drives.lag + drives.delay
-            allowed = max(drives.tracking_error / unit, LEAD_MARGIN)
-            lead = LEAD_FACTOR * drives.starting_lead / unit + LEAD_MARGIN
+            allowed = max(drives.tracking_error / unit, DRIVE_RESPONSE.lead_margin)
+            lead = DRIVE_RESPONSE.lead_factor * drives.starting_lead / unit + DRIVE_RESPONSE.lead_margin
         self._max_difference = allowed if max_tracking_error is None else max_tracking_error
         self.response = DriveResponse(arm, lead, time_constant > 0.0)
         self._patience = resync_time
@@ -237,7 +240,7 @@ class Feedback:
         self._at_rest = True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
         self._aim: tuple[Target, Array] | None = None
-        self.averaging_time = min(time_constant, SLOWEST_AVERAGE)
+        self.averaging_time = min(time_constant, FEEDBACK.slowest_average)
         self._forget(np.zeros(arm.nv))
 
     @property
@@ -368,7 +371,7 @@ class Feedback:
         if self.response.stopped.any():
             leads = self.response.history.readings[0] - cast(Array, self.positions)
             turned = self.arm.kinematics.endless & (np.abs(leads) > 0.5 * FULL_TURN)
-            excess[(self.response.history.standing > FOLLOW_TIME) & ~turned] = 0.0
+            excess[(self.response.history.standing > DRIVE_RESPONSE.follow_time) & ~turned] = 0.0
         return excess
 
     def _hold(self, positions: Array) -> Target | None:
@@ -414,13 +417,13 @@ class Feedback:
 
     def compensate(self, target: Target) -> Target:
         """Return the target for the command such that the arm reaches a target."""
-        tiny = FEEDBACK_TOLERANCE * self.arm.length
+        tiny = FEEDBACK.tolerance * self.arm.length
         offset = self._offset
         shift = self._shift
         if self._last_compensated is not None and self._last_compensated[0] is target:
             _, used, before, at = self._last_compensated
             turned = np.abs(offset - before) / self.arm.joint_units
-            if turned.max() <= FEEDBACK_TOLERANCE and np.abs(shift - at).max() <= tiny:
+            if turned.max() <= FEEDBACK.tolerance and np.abs(shift - at).max() <= tiny:
                 return used
         used = self._compensated(target, offset, shift)
         self._last_compensated = target, used, offset.copy(), shift.copy()
@@ -470,9 +473,9 @@ class Feedback:
         history = self.response.history
         most = self._most_compensated * arm.joint_units[joint]
         edge = arm.limits.lower[joint] if off[joint] > 0.0 else arm.limits.upper[joint]
-        if abs(command[joint] - edge) <= LIMIT_TOLERANCE * arm.joint_units[joint]:
+        if abs(command[joint] - edge) <= FEEDBACK.limit_tolerance * arm.joint_units[joint]:
             why = f"its command is at the limit of the joint, {drive.ratio * edge + drive.offset:.4g}"
-        elif abs(self._offset[joint]) >= (1.0 - LIMIT_TOLERANCE) * most:
+        elif abs(self._offset[joint]) >= (1.0 - FEEDBACK.limit_tolerance) * most:
             why = f"the compensation is at its limit (max_tracking_error), {self._describe(joint, most)}"
         elif isinf(self._time_constant):
             why = "nothing compensates that (feedback_time_constant is inf)"
@@ -519,7 +522,8 @@ class Feedback:
             off = measured_points - points
             with np.errstate(over="ignore"):
                 apart = np.linalg.norm(off, axis=1)
-            off[~(apart <= MAX_POINT_OFFSET * self.arm.length)] = 0.0  # missing, or a false detection
+            # Missing, or a false detection.
+            off[~(apart <= FEEDBACK.max_point_offset * self.arm.length)] = 0.0
         if not self.settled and (measured_points is not None or np.any(self._shift)):
             self._shift += share * (off - self._shift)
         self.deviation = points + off - expected
@@ -539,7 +543,8 @@ class Feedback:
         share = 1.0 - exp(-dt / self.averaging_time)
         self._displacement += share * (difference - self._displacement)
         # The variance of noise after a low-pass filter is share / (2 - share) of that before.
-        self.noise = AVERAGE_DEVIATIONS * np.sqrt(share / (2.0 - share) * self.response.history.variances)
+        variances = share / (2.0 - share) * self.response.history.variances
+        self.noise = FEEDBACK.average_deviations * np.sqrt(variances)
         before = 0.0 if self.displacement is None else self.displacement
         if np.any(np.abs(self._displacement - before) > self.noise):
             known = np.any(np.abs(self._displacement) > self.noise)

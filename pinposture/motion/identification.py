@@ -15,12 +15,9 @@ from pinposture.errors import InvalidValue, PostureError, enumerated
 from pinposture.motion.drive_fit import (
     COMPLIANCE,
     DELAY,
-    FEWEST_SEGMENTS,
+    DRIVE_FIT,
     FRICTION,
     LAG,
-    LONGEST_DELAY,
-    LONGEST_LAG,
-    SEGMENTS,
     Fit,
     Series,
     explained_share,
@@ -30,45 +27,60 @@ from pinposture.motion.drive_fit import (
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.joint_trajectory import METRE, RADIAN
 from pinposture.motion.log import Log
-from pinposture.motion.touch import DEFAULT_TIME_CONSTANT, Touch, TouchDetector, largest_of_kind
+from pinposture.motion.touch import TOUCH, Touch, TouchDetector, largest_of_kind
 
 Array = NDArray[np.float64]
 
-FEWEST_ROWS = 50
-"""Fewest measurements of a joint from which its drive is identified: five in each segment."""
 
-MOST_MEASUREMENTS = 6000
-"""Most measurements of a joint that are compared with the model; of more, evenly spaced ones."""
+class IdentificationSettings(NamedTuple):
+    """Which rows of a log are used, and what they are enough for; see `benchmarks.studies.identification`."""
 
-STILL = 0.5
-"""Rows repeated for longer than this are of joints at rest, or frozen encoders, not slow ones [s]."""
+    fewest_rows: int = 50
+    """Fewest measurements of a joint from which its drive is identified: five in each segment."""
 
-MOST_POSTURES = 1000
-"""Most postures in which the torques that hold the arm are computed; they are interpolated between these."""
+    most_measurements: int = 6000
+    """Most measurements of a joint that are compared with the model; of more, evenly spaced ones."""
 
-LONGEST_GAP = 1.0
-"""Time without measurements after which the model starts anew from the next one [s]."""
+    still: float = 0.5
+    """Rows repeated for longer than this are of joints at rest, or frozen encoders, not slow ones [s]."""
 
-MOVED = 8.0
-"""Range of positions that noise explains, in its standard deviations."""
+    most_postures: int = 1000
+    """Most postures in which the torques that hold the arm are computed; they are interpolated between
+    these."""
 
-BURST = 0.25
-"""Interval between rows that came together, in periods."""
+    longest_gap: float = 1.0
+    """Time without measurements after which the model starts anew from the next one [s]."""
 
-WIDE = 0.5
-"""Half of an interval above which a number is not identified, relative to the number."""
+    moved: float = 8.0
+    """Range of positions that noise explains, in its standard deviations."""
 
-WIDE_DELAY = 0.25
-"""The same of a delay, relative to lag and delay together."""
+    burst: float = 0.25
+    """Interval between rows that came together, in periods."""
 
-WIDE_FRICTION = 0.05
-"""The same of a friction, relative to the range of motion: a friction of zero can be identified, too."""
+    wide: float = 0.5
+    """Half of an interval above which a number is not identified, relative to the number."""
 
-LEAST_EXPLAINED = 0.5
-"""Share of the variance that the model explains at least, where its parameters mean something."""
+    wide_delay: float = 0.25
+    """The same of a delay, relative to lag and delay together."""
 
-LIGHT = 0.1
-"""Half of the interval of a payload that counts as identified even if it is zero, in masses of the arm."""
+    wide_friction: float = 0.05
+    """The same of a friction, relative to the range of motion: a friction of zero can be identified,
+    too."""
+
+    least_explained: float = 0.5
+    """Share of the variance that the model explains at least, where its parameters mean something."""
+
+    light: float = 0.1
+    """Half of the interval of a payload that counts as identified even if it is zero, in masses of the
+    arm."""
+
+    touch_margin: float = 2.0
+    """Threshold of touch, in the largest torque that the model does not explain in logs without contact;
+    tested on motions twice as fast, that are not in the log (tests/motion/test_touch.py)."""
+
+
+IDENTIFICATION = IdentificationSettings()
+
 
 NORMAL = 0.6745
 """Median size of normal noise, in standard deviations."""
@@ -76,9 +88,6 @@ NORMAL = 0.6745
 THIRD_DIFFERENCE = 20.0
 """Variance of the third difference of white noise, in variances of the noise."""
 
-TOUCH_MARGIN = 2.0
-"""Threshold of touch, in the largest torque that the model does not explain in logs without contact; tested
-on motions twice as fast, that are not in the log (tests/motion/test_touch.py)."""
 
 MOST_NAMED = 6
 """Most reasons in a representation."""
@@ -232,7 +241,7 @@ class Identification:
         return model
 
     def touch(
-        self, reaction: Literal["stop", "yield"] = "stop", time_constant: float = DEFAULT_TIME_CONSTANT
+        self, reaction: Literal["stop", "yield"] = "stop", time_constant: float = TOUCH.time_constant
     ) -> Touch:
         """Return how a `Tracker` notices that something touches this robot.
 
@@ -256,7 +265,7 @@ class Identification:
         felt = np.max([self._felt(log, time_constant) for log in self.logs], axis=0)
         if not np.any(felt):
             raise InvalidValue("log.effort", "the same in all rows", f"{allowed}, and that moves")
-        most = TOUCH_MARGIN * largest_of_kind(self.arm, felt)
+        most = IDENTIFICATION.touch_margin * largest_of_kind(self.arm, felt)
         threshold = {
             drive.joint: float(torque / abs(drive.ratio))
             for drive, torque in zip(self.arm.drives, most, strict=True)
@@ -284,7 +293,7 @@ class Identification:
         before = -np.inf
         for row in np.flatnonzero(_fresh_rows(log) & usable):
             passed = float(log.time[row]) - before
-            if passed > LONGEST_GAP:
+            if passed > IDENTIFICATION.longest_gap:
                 detector.restart()
             if passed > 0.0:
                 detector.update(positions[row], torques[row], passed)
@@ -492,7 +501,8 @@ def _read_tables(arm: Arm, logs: tuple[Log, ...], loads: bool = False) -> _Table
         _check_degrees(arm, log, columns)
         fresh = _fresh_rows(log)
         elapsed = (begun + log.time - np.nanmin(log.time)) / max(sum(spans), 1e-9)
-        segments = np.clip(np.nan_to_num(elapsed * SEGMENTS), 0, SEGMENTS - 1).astype(np.int64)
+        count = DRIVE_FIT.segments
+        segments = np.clip(np.nan_to_num(elapsed * count), 0, count - 1).astype(np.int64)
         begun += span
         torques = _loads_of(arm, log, columns) if loads else None
         unknown = np.full(len(log.time), np.nan)
@@ -508,8 +518,10 @@ def _read_tables(arm: Arm, logs: tuple[Log, ...], loads: bool = False) -> _Table
     for name, each in series.items():
         count = sum(len(part.times) for part in each)
         where = {int(segment) for part in each for segment in np.unique(part.segments)}
-        if name not in reasons and (count < FEWEST_ROWS or len(where) < FEWEST_SEGMENTS):
-            least = f"at least {FEWEST_ROWS} in {FEWEST_SEGMENTS} tenths of the log are needed"
+        rows = IDENTIFICATION.fewest_rows
+        tenths = DRIVE_FIT.fewest_segments
+        if name not in reasons and (count < rows or len(where) < tenths):
+            least = f"at least {rows} in {tenths} tenths of the log are needed"
             reasons[name] = (
                 f"{count} measurements beside commands, in {len(where)} tenths of the log; {least}"
             )
@@ -537,7 +549,7 @@ def _fresh_rows(log: Log) -> NDArray[np.bool_]:
     """Return which rows of measurements are fresh: they do not repeat the one before, or only at rest."""
     repeated = _repeated(log.positions)
     since = np.where(repeated, -np.inf, log.time)
-    resting = log.time - np.maximum.accumulate(np.nan_to_num(since, nan=-np.inf)) > STILL
+    resting = log.time - np.maximum.accumulate(np.nan_to_num(since, nan=-np.inf)) > IDENTIFICATION.still
     return np.isfinite(log.time) & (~repeated | resting)
 
 
@@ -563,7 +575,7 @@ def _timing_of(tables: Sequence[tuple[Array, Array]]) -> Timing:
     period = float(np.median(between)) if len(between) else 0.0
     usual = between[between <= 10.0 * period]
     jitter = float(np.std(usual)) if len(usual) else 0.0
-    bursts = float(np.mean(between < BURST * period)) if len(between) else 0.0
+    bursts = float(np.mean(between < IDENTIFICATION.burst * period)) if len(between) else 0.0
     return Timing(rows, period, jitter, stale / rows, bursts, missing / rows)
 
 
@@ -590,7 +602,7 @@ def _series_of(
     fresh: NDArray[np.bool_],
     segments: NDArray[np.int64],
 ) -> list[Series]:
-    """Return a joint of a log as its uninterrupted parts, with at most `MOST_MEASUREMENTS` rows.
+    """Return a joint of a log as its uninterrupted parts, with at most `most_measurements` rows.
 
     Args:
         log: the log.
@@ -606,15 +618,15 @@ def _series_of(
     if not len(sent):
         return []
     rows = np.flatnonzero(fresh & np.isfinite(positions) & (log.time >= sent_at[0]))
-    rows = rows[:: 1 + len(rows) // MOST_MEASUREMENTS]
-    parts = np.split(rows, np.flatnonzero(np.diff(log.time[rows]) > LONGEST_GAP) + 1)
+    rows = rows[:: 1 + len(rows) // IDENTIFICATION.most_measurements]
+    parts = np.split(rows, np.flatnonzero(np.diff(log.time[rows]) > IDENTIFICATION.longest_gap) + 1)
     series = []
     for part in parts:
         if len(part) < 2:
             continue
         times = log.time[part]
-        first = max(int(np.searchsorted(sent_at, times[0] - LONGEST_DELAY, side="right")) - 1, 0)
-        last = int(np.searchsorted(sent_at, times[-1] + LONGEST_DELAY, side="right"))
+        first = max(int(np.searchsorted(sent_at, times[0] - DRIVE_FIT.longest_delay, side="right")) - 1, 0)
+        last = int(np.searchsorted(sent_at, times[-1] + DRIVE_FIT.longest_delay, side="right"))
         commanded = slice(first, last)
         weightless = np.zeros((2, len(part)))
         rest = (segments[part], weightless, measured[1, part])
@@ -667,10 +679,10 @@ class _Loads(NamedTuple):
 
 
 def _loads_of(arm: Arm, log: Log, columns: Mapping[str, _Column]) -> _Loads:
-    """Return the torques that hold an arm in a log, at `MOST_POSTURES` evenly spaced rows at most."""
+    """Return the torques that hold an arm in a log, at evenly spaced rows of it."""
     table = _positions_in(arm, log, columns)
     rows = np.flatnonzero(np.isfinite(log.time) & np.all(np.isfinite(table), axis=1))
-    rows = rows[:: 1 + len(rows) // MOST_POSTURES]
+    rows = rows[:: 1 + len(rows) // IDENTIFICATION.most_postures]
     bare = arm.with_payload(log.payload) if log.payload else arm
     gravity = np.broadcast_to(np.asarray(log.gravity), (len(log.time), 3))[rows]
     held = _torques_at(bare, table[rows], gravity)
@@ -701,7 +713,8 @@ def _torques_at(arm: Arm, positions: Array, gravity: Array) -> Array:
 def _shared_joints(arm: Arm, tables: _Tables) -> list[str]:
     """Return the joints that one set of parameters is for: those that turn, of those that moved; else all."""
     noise = tables.noise
-    moved = {name for name, each in tables.series.items() if _range(each) > MOVED * noise.get(name, 0.0)}
+    least = IDENTIFICATION.moved
+    moved = {name for name, each in tables.series.items() if _range(each) > least * noise.get(name, 0.0)}
     for slides in (False, True):
         kind = zip(arm.joint_names, arm.in_metres, strict=True)
         found = [name for name, slide in kind if name in moved and slide == slides]
@@ -729,22 +742,22 @@ def _judge(fit: Fit, span: float) -> tuple[DriveEstimate, dict[str, str]]:
     delay = Estimate(*fit.parameter(DELAY))
     friction = Estimate(*fit.parameter(FRICTION))
     known = {"lag": _clipped(lag), "delay": _clipped(delay), "friction": _clipped(friction)}
-    if fit.explained < LEAST_EXPLAINED:
+    if fit.explained < IDENTIFICATION.least_explained:
         why = f"the model explains {max(fit.explained, 0.0):.0%} of the variance in segments left out"
         reasons = dict.fromkeys(known, why)
     else:
-        if lag.value > 0.99 * LONGEST_LAG or lag.half > WIDE * lag.value:
+        if lag.value > 0.99 * DRIVE_FIT.longest_lag or lag.half > IDENTIFICATION.wide * lag.value:
             reasons["lag"] = (
                 f"its interval is {lag.lower:.2g} to {lag.upper:.2g} s: commands change too little"
             )
         interval = f"its interval is {delay.lower:.2g} to {delay.upper:.2g} s"
-        if delay.value > 0.99 * LONGEST_DELAY or delay.half > WIDE_DELAY * (
+        if delay.value > 0.99 * DRIVE_FIT.longest_delay or delay.half > IDENTIFICATION.wide_delay * (
             lag.value + max(delay.value, 0.0)
         ):
             reasons["delay"] = f"apart from the lag {interval}: commands change too slowly"
         elif delay.upper < 0.0:
             reasons["delay"] = f"{interval}: the clocks of commands and measurements differ"
-        if friction.half > WIDE * friction.value and friction.half > WIDE_FRICTION * span:
+        if friction.half > max(IDENTIFICATION.wide * friction.value, IDENTIFICATION.wide_friction * span):
             reasons["friction"] = f"its interval is {friction.lower:.2g} to {friction.upper:.2g}"
     found = {name: None if name in reasons else each for name, each in known.items()}
     return DriveEstimate(**found, explained=fit.explained, rest=fit.rest), reasons
@@ -760,7 +773,9 @@ def _without_delay(
 ) -> tuple[Fit, DriveEstimate, dict[str, str]]:
     """Return a fit, with the delay at zero if it cannot be told from the lag, and what it tells."""
     drives, reasons = _judge(fit, span)
-    if fit.explained < LEAST_EXPLAINED or ("delay" not in reasons and fit.values[DELAY] >= 0.0):
+    if fit.explained < IDENTIFICATION.least_explained or (
+        "delay" not in reasons and fit.values[DELAY] >= 0.0
+    ):
         return fit, drives, reasons
     free = [place for place in range(COMPLIANCE + loads) if place != DELAY]
     again = fit_drives(series, loads, free)
@@ -779,7 +794,7 @@ def _fit_series(
 def _stiffness(fit: Fit) -> tuple[Estimate | None, str]:
     """Return the stiffness of a fit with a compliance, or why there is none."""
     compliance = Estimate(*fit.parameter(COMPLIANCE))
-    if compliance.lower <= 0.0 or compliance.half > WIDE * compliance.value:
+    if compliance.lower <= 0.0 or compliance.half > IDENTIFICATION.wide * compliance.value:
         interval = f"{compliance.lower:.2g} to {compliance.upper:.2g}"
         return None, f"the sag by weight is not told: {interval} rad/(N m), or m/N"
     return Estimate(1.0 / compliance.value, 1.0 / compliance.upper, 1.0 / compliance.lower), ""
@@ -822,7 +837,7 @@ def _fit_all(
 def _payload(fit: Fit, mass: float) -> tuple[Estimate | None, str]:
     """Return the payload of a fit with one, or why it is not told, given the mass of the arm [kg]."""
     payload = Estimate(*fit.payload())
-    if payload.half > max(WIDE * abs(payload.value), LIGHT * mass):
+    if payload.half > max(IDENTIFICATION.wide * abs(payload.value), IDENTIFICATION.light * mass):
         return None, f"its interval is {payload.lower:.2g} to {payload.upper:.2g} kg"
     return payload, ""
 
@@ -833,7 +848,7 @@ def _with_efforts(drive: DriveEstimate, series: Sequence[Series]) -> tuple[Drive
     found, explained = fit_gain(series, delay)
     if found is None:
         reasons = {"gain": "the log has no efforts that change"}
-    elif explained < LEAST_EXPLAINED or found[1] <= 0.0:
+    elif explained < IDENTIFICATION.least_explained or found[1] <= 0.0:
         reasons = {"gain": f"errors explain {max(explained, 0.0):.0%} of the variance of efforts"}
     else:
         reasons = {}
@@ -864,7 +879,7 @@ def _fit_each(
     for name in names:
         series = tables.series[name]
         span = _range(series)
-        noise = MOVED * tables.noise.get(name, 0.0)
+        noise = IDENTIFICATION.moved * tables.noise.get(name, 0.0)
         if span <= max(noise, band):
             explained = f"friction either way, {band:.2g}" if band > noise else f"noise, {noise:.2g}"
             text = f"it moved by {span:.2g}, not by more than {explained}"

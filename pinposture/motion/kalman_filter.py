@@ -20,11 +20,21 @@ from pinposture.arm import ChainState
 Array = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
 
-MAX_STEPS = 20
-MAX_HALVINGS = 8
-SMALL_MOTION = 1e-6
-"""Largest number of steps of a fit, and how often a step is halved that makes it worse; motion of a joint at
-which it ends, in `Arm.joint_units`."""
+
+class UpdateSettings(NamedTuple):
+    """How an update with measurements is found by Gauss-Newton steps."""
+
+    max_steps: int = 20
+    """Largest number of steps."""
+
+    max_halvings: int = 8
+    """How often a step that makes the fit worse is halved."""
+
+    small_motion: float = 1e-6
+    """Motion of a joint at which the fit ends, in `Arm.joint_units`."""
+
+
+UPDATE = UpdateSettings()
 
 
 class Readings(NamedTuple):
@@ -145,11 +155,11 @@ class Belief(NamedTuple):
         covariance = self.covariance
         units = np.tile(self.state.arm.joint_units, 2)
         cost = self._cost(sensor, fit, used)
-        for _ in range(MAX_STEPS):
+        for _ in range(UPDATE.max_steps):
             rows = _rows(fit.near, used, len(covariance))
             innovation = fit.near.errors[used].ravel() + rows @ (covariance @ fit.pull)
             change = rows.T @ cho_solve(self._spread(sensor, rows), innovation) - fit.pull
-            for halved in range(MAX_HALVINGS):
+            for halved in range(UPDATE.max_halvings):
                 step = 0.5**halved * change
                 tried = self._moved(sensor, fit.pull + step)
                 lower = self._cost(sensor, tried, used)
@@ -159,7 +169,7 @@ class Belief(NamedTuple):
                 break
             fit = tried
             cost = lower
-            if np.abs(covariance @ step / units).max() < SMALL_MOTION:
+            if np.abs(covariance @ step / units).max() < UPDATE.small_motion:
                 break
         return fit
 

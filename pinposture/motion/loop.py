@@ -17,9 +17,9 @@ from pinposture.control.controller import Info, Memory
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.motion import tolerances
 from pinposture.motion.deadline import DirectStep, PlannedStep
 from pinposture.motion.run import Run
+from pinposture.motion.tolerances import ERROR_ROUNDING, STALL, STEP_ROUNDING
 from pinposture.placement import Target
 from pinposture.units import length_text
 
@@ -151,7 +151,7 @@ class RunRecord:
 
     def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error at a state exceeds the current one, by more than rounding."""
-        rounding = tolerances.ERROR_ROUNDING * state.arm.length
+        rounding = ERROR_ROUNDING * state.arm.length
         error = float(self._target.distances(state.chain_state.points).sum())
         return error > self.posture_error + rounding
 
@@ -191,7 +191,7 @@ class RunRecord:
 
         It is the travel that the limits allowed, without steps along a path, and hence independent of dt.
         """
-        if self.posture_error < self._best * (1.0 - tolerances.PROGRESS_SHARE):
+        if self.posture_error < self._best * (1.0 - STALL.progress_share):
             self._best = self.posture_error
             self._idle = 0.0
         return self._idle
@@ -368,7 +368,7 @@ class RecordedLoop(Loop):
             allowed = length_text(tolerance, smallest=0.0)
             return "max_steps", f"mean point error {length_text(mean)}, above the tolerance of {allowed}"
         idle = self.record.travel_without_progress()
-        if idle >= tolerances.STALL_TRAVEL * (1.0 - tolerances.STEP_ROUNDING):
+        if idle >= STALL.travel * (1.0 - STEP_ROUNDING):
             error = f"mean point error {length_text(mean)}"
             return "stalled", f"{error}, no progress in the last {idle:.3g} rad of joint travel"
         return "", ""

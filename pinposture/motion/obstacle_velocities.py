@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,32 +16,39 @@ from pinposture.kernels.rate_of_change import RATE_FIT
 
 Array = NDArray[np.float64]
 
-POSES = 50
-"""Largest number of poses that a velocity is fitted to: half a second of a loop at 100 Hz, in which noise of
-1 mm leaves an error of 1 cm/s."""
 
-EXACT_POSE = 1e-7
-"""Noise that exact poses count with: of places, in arm lengths, and of axes."""
+class ObstacleVelocitySettings(NamedTuple):
+    """How the velocity of an obstacle is found from its poses."""
 
-PICTURES = 2.0
-"""Time in which the next pose is expected, in longest times between the last poses."""
+    poses: int = 50
+    """Largest number of poses that a velocity is fitted to: half a second of a loop at 100 Hz, in which
+    noise of 1 mm leaves an error of 1 cm/s."""
 
-FIRST_PICTURE = 0.2
-"""The same before these times are known [s]: cameras deliver 5 pictures a second or more."""
+    exact_pose: float = 1e-7
+    """Noise that exact poses count with: of places, in arm lengths, and of axes."""
+
+    pictures: float = 2.0
+    """Time in which the next pose is expected, in longest times between the last poses."""
+
+    first_picture: float = 0.2
+    """The same before these times are known [s]: cameras deliver 5 pictures a second or more."""
+
+
+OBSTACLE_VELOCITY = ObstacleVelocitySettings()
 
 
 class PoseHistory:
     """The last poses of an obstacle, and the velocity that they tell.
 
     A pose that is exactly the one before is no news: a camera may be slower than the loop. An obstacle
-    stands if no other pose comes for `PICTURES` times as long as they took before.
+    stands if no other pose comes for `OBSTACLE_VELOCITY.pictures` times as long as they took before.
 
     Args:
         length: length of the arm [m].
     """
 
     def __init__(self, length: float) -> None:
-        self._least_noise = EXACT_POSE * length
+        self._least_noise = OBSTACLE_VELOCITY.exact_pose * length
         self._times = np.zeros(0)
         self._places = np.zeros((0, 3))
         self._axes = np.zeros((0, 9))
@@ -59,9 +68,9 @@ class PoseHistory:
                 self._axes = self._axes[-1:]
                 self._velocity = np.zeros(6)
             return
-        self._times = np.append(self._times[1 - POSES :], time)
-        self._places = np.vstack([self._places[1 - POSES :], place])
-        self._axes = np.vstack([self._axes[1 - POSES :], axes])
+        self._times = np.append(self._times[1 - OBSTACLE_VELOCITY.poses :], time)
+        self._places = np.vstack([self._places[1 - OBSTACLE_VELOCITY.poses :], place])
+        self._axes = np.vstack([self._axes[1 - OBSTACLE_VELOCITY.poses :], axes])
         if len(self._times) >= RATE_FIT.fewest:
             self._estimate(pose.rotation)
 
@@ -74,9 +83,9 @@ class PoseHistory:
 
     def _is_overdue(self, time: float) -> bool:
         """Whether another pose would have come by now if the obstacle still moved."""
-        patience = FIRST_PICTURE
+        patience = OBSTACLE_VELOCITY.first_picture
         if len(self._times) >= RATE_FIT.fewest:
-            patience = PICTURES * float(np.diff(self._times[-RATE_FIT.fewest - 1 :]).max())
+            patience = OBSTACLE_VELOCITY.pictures * float(np.diff(self._times[-RATE_FIT.fewest - 1 :]).max())
         return bool(time - self._times[-1] > patience)
 
     def _estimate(self, rotation: Array) -> None:
@@ -84,7 +93,7 @@ class PoseHistory:
         linear = np.zeros(3)
         moves = kernels.fit_rate(self._times, self._places, self._least_noise, linear)
         turn = np.zeros(9)
-        turns = kernels.fit_rate(self._times, self._axes, EXACT_POSE, turn)
+        turns = kernels.fit_rate(self._times, self._axes, OBSTACLE_VELOCITY.exact_pose, turn)
         self._uncertain = 0 if moves and turns else self._uncertain + 1
         if 0 < self._uncertain < RATE_FIT.fewest:
             return

@@ -20,7 +20,7 @@ from queue import Empty, SimpleQueue
 from threading import Event, RLock, Thread
 from time import perf_counter
 from traceback import format_exception
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 from joblib import Parallel, parallel_config, wrap_non_picklable_objects
 from joblib.externals.loky import reusable_executor
@@ -42,18 +42,31 @@ Call: TypeAlias = tuple[Callable[..., object], tuple[object, ...]]
 Progress = Callable[[int, int], object]
 """Called with the number of finished calls and the total number."""
 
-TRIAL_TIME = 1.0
-"""Time in this process before the remaining time is estimated [s]."""
 
-START_TIME = 5.0
-"""Estimated remaining time above which processes are started [s], which takes 3 to 5 s."""
+class ProcessSettings(NamedTuple):
+    """When calls go to other processes, and when they are given up."""
 
-MOST_ENDINGS = 3
-"""How often processes may be ended from outside before calls are given up."""
+    trial_time: float = 1.0
+    """Time in this process before the remaining time is estimated [s]."""
+
+    start_time: float = 5.0
+    """Estimated remaining time above which processes are started [s], which takes 3 to 5 s."""
+
+    most_endings: int = 3
+    """How often processes may be ended from outside before calls are given up."""
+
+    portion: int = 200
+    """Number of calls sent together to a backend that returns results only all at once, such as Ray's."""
+
+    watch_interval: float = 0.5
+    """How often a thread looks whether an idle process has ended [s]."""
+
+
+PROCESSES = ProcessSettings()
+
+
 MOST_JOBS = 10_000
 """Most processes that can be asked for."""
-PORTION = 200
-"""Number of calls sent together to a backend that returns results only all at once, such as Ray's."""
 
 
 class Shared(Generic[Value]):
@@ -131,7 +144,8 @@ def _run_then_distribute(tasks: Sequence[Any]) -> Iterator[Any]:
     began = perf_counter()
     for done, (function, positional, named) in enumerate(tasks):
         spent = perf_counter() - began
-        if done and spent > TRIAL_TIME and spent / done * (len(tasks) - done) > START_TIME:
+        remaining = spent / done * (len(tasks) - done) if done else 0.0
+        if spent > PROCESSES.trial_time and remaining > PROCESSES.start_time:
             yield from in_order(tasks[done:], -1)
             return
         yield function(*positional, **named)
@@ -148,14 +162,15 @@ def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
     ended = 0
     while True:
         try:
-            alone = ended == MOST_ENDINGS  # so that a call that ends its process takes no other with it
+            # So that a call that ends its process takes no other with it.
+            alone = ended == PROCESSES.most_endings
             for result in _distribute_once(listed[done:], jobs, first_here=not ended, alone=alone):
                 done += 1
                 yield result
             return
         except TerminatedWorkerError as error:
             ended += 1
-            if ended > MOST_ENDINGS:
+            if ended > PROCESSES.most_endings:
                 raise ProcessError(done, len(listed) - done) from error
             logger.warning("a process was ended; calls from %d of %d on are made again", done, len(listed))
 
@@ -185,7 +200,7 @@ def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: b
         yield from pool(waiting)
         return
     with pool:  # the same processes for all portions
-        while portion := list(islice(waiting, PORTION)):
+        while portion := list(islice(waiting, PROCESSES.portion)):
             yield from pool(portion)
 
 
@@ -276,7 +291,7 @@ class _Line:
         self.ready.set()
         while True:
             try:
-                request = self.requests.get(timeout=WATCH_INTERVAL)
+                request = self.requests.get(timeout=PROCESSES.watch_interval)
             except Empty:
                 if not self.process.is_alive():
                     self._restart()
@@ -371,9 +386,6 @@ class BackgroundProcess:
         if hasattr(self, "_line"):
             self._line.requests.put(None)
 
-
-WATCH_INTERVAL = 0.5
-"""How often a thread looks whether an idle process has ended [s]."""
 
 THREAD_COUNTS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that set the number of threads of a process."""

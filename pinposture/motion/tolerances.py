@@ -1,81 +1,99 @@
 """The tolerances of control loops: when an arm has arrived, rests, and makes no progress."""
 
-# Arrival.
+from typing import NamedTuple
 
-ARRIVAL = 1e-6
-"""Mean distance of the control points from their targets at which the arm has converged, in arm lengths.
-`track` and `perform` take another one, too."""
 
-AVERAGED_TIME = 0.25
-AVERAGED_READINGS = 8
-"""Least duration [s] and least number of different readings that are averaged."""
+class ArrivalTolerances(NamedTuple):
+    """When an arm has arrived at its target, by one measurement or by an average of many."""
 
-LONGEST_TIME = 1.0
-"""Longest duration of an average [s], whatever the number of readings."""
+    distance: float = 1e-6
+    """Mean distance of the control points from their targets at which the arm has converged, in arm
+    lengths. `track` and `perform` take another one, too."""
 
-DEVIATIONS = 3.0
-"""Distance from a target that noise explains, in standard deviations of the average."""
+    averaged_time: float = 0.25
+    averaged_readings: int = 8
+    """Least duration [s] and least number of different readings that are averaged."""
 
-LEAVING = 2.0
-"""Ratio of the distances at which an arm leaves its target and arrives, against a status that flickers."""
+    longest_time: float = 1.0
+    """Longest duration of an average [s], whatever the number of readings."""
 
-DRIFT = 4.0
-"""Ratio of the motion during an average that noise explains to that distance: a fitted slope over n readings
-varies by sqrt(12 / n), their mean by sqrt(1 / n)."""
+    deviations: float = 3.0
+    """Distance from a target that noise explains, in standard deviations of the average."""
 
-APPROACH = 0.5
-"""Ratio of the distances of two successive averages below which the arm still approaches its target."""
+    leaving: float = 2.0
+    """Ratio of the distances at which an arm leaves its target and arrives, against a status that
+    flickers."""
 
-AIMED = 1e-3
-"""Mean distance of the control points of the command from where it aims, in arm lengths, below which only the
-feedback moves it."""
+    drift: float = 4.0
+    """Ratio of the motion during an average that noise explains to that distance: a fitted slope over n
+    readings varies by sqrt(12 / n), their mean by sqrt(1 / n)."""
 
-SAME_TARGET = 1e-9
-"""Difference of targets that count as the same, in radians and in arm lengths."""
+    approach: float = 0.5
+    """Ratio of the distances of two successive averages below which the arm still approaches its target."""
 
-# Rest.
+    aimed: float = 1e-3
+    """Mean distance of the control points of the command from where it aims, in arm lengths, below which
+    only the feedback moves it."""
 
-AT_REST = 1e-9
-"""Largest step of an arm that counts as at rest, in `Arm.joint_units`."""
+    same_target: float = 1e-9
+    """Difference of targets that count as the same, in radians and in arm lengths."""
 
-SETTLING = 1e-6
-"""Largest step of an arm that still settles where it is, in `Arm.joint_units`."""
 
-STANDING_DRIFT = 0.02
-"""Motion of the control points during an average that counts as standing, as a share of their distances from
-the targets: an arm that comes closer faster than that is there within some seconds."""
+ARRIVAL = ArrivalTolerances()
 
-STANDING_TIME = 1.0
-"""Time for which an arm that is not at its target stands before it counts as stalled [s]."""
 
-# No progress.
+class RestTolerances(NamedTuple):
+    """When an arm rests, or stands although it is not at its target."""
 
-STALL_TRAVEL = 6.0
-"""Joint travel without progress after which a run is stalled [rad]: 60 usual steps."""
+    step: float = 1e-9
+    """Largest step of an arm that counts as at rest, in `Arm.joint_units`."""
 
-PROGRESS_SHARE = 1e-3
-"""Relative decrease of the posture error that counts as progress."""
+    settling: float = 1e-6
+    """Largest step of an arm that still settles where it is, in `Arm.joint_units`."""
 
-GAIN = 1e-3
-"""Decrease of a distance that counts as coming closer, in arm lengths: half the clearance that steps keep
-beyond the margin."""
+    standing_drift: float = 0.02
+    """Motion of the control points during an average that counts as standing, as a share of their distances
+    from the targets: an arm that comes closer faster than that is there within some seconds."""
 
-PATIENCE = 2.0
-AVERAGES = 4.0
-"""Time after which an arm that comes no closer gives up [s], and time constants of the averaged measurements
-to add: after four, less than 2 % of a change is still to come."""
+    standing_time: float = 1.0
+    """Time for which an arm that is not at its target stands before it counts as stalled [s]."""
 
-STEADY = 1e-4
-"""Change of the displacement of an arm that is none, in `Arm.joint_units`, unless noise makes more."""
 
-TWO_AVERAGES = 2.0
-"""Ratio of the difference of two averages that noise explains to the deviation of one that it explains."""
+REST = RestTolerances()
 
-OTHER_DISPLACEMENT = 5e-3
-"""Change of the displacement of an arm at rest that makes another attempt worthwhile, in `Arm.joint_units`:
-more than the noise and the backlash of most drives."""
 
-# Rounding.
+class StallTolerances(NamedTuple):
+    """When an arm makes no progress, and when it tries again."""
+
+    travel: float = 6.0
+    """Joint travel without progress after which a run is stalled [rad]: 60 usual steps."""
+
+    progress_share: float = 1e-3
+    """Relative decrease of the posture error that counts as progress."""
+
+    gain: float = 1e-3
+    """Decrease of a distance that counts as coming closer, in arm lengths: half the clearance that steps
+    keep beyond the margin."""
+
+    patience: float = 2.0
+    averages: float = 4.0
+    """Time after which an arm that comes no closer gives up [s], and time constants of the averaged
+    measurements to add: after four, less than 2 % of a change is still to come."""
+
+    steady: float = 1e-4
+    """Change of the displacement of an arm that is none, in `Arm.joint_units`, unless noise makes more."""
+
+    two_averages: float = 2.0
+    """Ratio of the difference of two averages that noise explains to the deviation of one that it
+    explains."""
+
+    other_displacement: float = 5e-3
+    """Change of the displacement of an arm at rest that makes another attempt worthwhile, in
+    `Arm.joint_units`: more than the noise and the backlash of most drives."""
+
+
+STALL = StallTolerances()
+
 
 ERROR_ROUNDING = 1e-12
 """Increase of the posture error that is attributed to rounding, in arm lengths."""

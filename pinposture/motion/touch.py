@@ -32,19 +32,27 @@ from pinposture.schema import CheckedBy, Declared, Duration, declared, one_of
 
 Array = NDArray[np.float64]
 
-DEFAULT_TIME_CONSTANT = 0.04
-"""Delay of the filter [s]: `benchmarks/studies/touch.py` has latency and false alarms for others."""
 
-YIELDING_TIME = 0.2
-"""How far ahead of the command an arm that yields aims, in seconds at its speed: it must be able to brake."""
+class TouchSettings(NamedTuple):
+    """How touch is detected, and how an arm yields to it."""
 
-YIELDING_SPEED = 0.5
-"""Largest speed of a joint that yields, in `Arm.joint_units` per second, within its limit."""
+    time_constant: float = 0.04
+    """Delay of the filter [s]: `benchmarks/studies/touch.py` has latency and false alarms for others."""
+
+    yielding_time: float = 0.2
+    """How far ahead of the command an arm that yields aims, in seconds at its speed: it must be able to
+    brake."""
+
+    yielding_speed: float = 0.5
+    """Largest speed of a joint that yields, in `Arm.joint_units` per second, within its limit."""
+
+    usual_share: float = 0.2
+    """The threshold if none is given, in the largest torque by which weight loads a joint of the
+    outstretched arm. In `benchmarks/studies/touch.py` it gives no false alarm, with noise of up to 3 % and
+    0.3 mrad."""
 
 
-USUAL_SHARE = 0.2
-"""The threshold if none is given, in the largest torque by which weight loads a joint of the outstretched
-arm. In `benchmarks/studies/touch.py` it gives no false alarm, with noise of up to 3 % and 0.3 mrad."""
+TOUCH = TouchSettings()
 
 
 def _threshold(name: str, value: object) -> float | dict[str, float] | None:
@@ -82,7 +90,7 @@ class Touch(Declared):
 
     threshold: Annotated[float | dict[str, float] | None, CheckedBy(_threshold)] = None
     reaction: Annotated[Literal["stop", "yield"], one_of("reaction", "stop", "yield")] = "stop"
-    time_constant: Duration = DEFAULT_TIME_CONSTANT
+    time_constant: Duration = TOUCH.time_constant
 
 
 def read_torques(arm: Arm, given: ArrayLike | Mapping[str, float] | None) -> Array | None:
@@ -129,7 +137,7 @@ def _thresholds_of(arm: Arm, given: float | dict[str, float] | None) -> Array:
         if np.all(np.isinf(loads)):
             allowed = "a torque or force, as weight loads no joint of this arm"
             raise InvalidValue("touch.threshold", None, allowed)
-        return USUAL_SHARE * loads
+        return TOUCH.usual_share * loads
     of_drives = np.full(arm.nv, np.inf)
     names = arm.drives.names
     if isinstance(given, Mapping):
@@ -239,10 +247,10 @@ class TouchDetector:
     def way(self, limits: Limits) -> Array:
         """Return how far ahead of its command an arm that yields aims, (nv,) [rad or m]."""
         bound = limits.for_arm(self._arm)
-        fastest = YIELDING_SPEED * self._arm.joint_units
+        fastest = TOUCH.yielding_speed * self._arm.joint_units
         if bound.dt is not None:
             fastest = np.minimum(fastest, bound.bound / bound.dt)
-        return np.asarray(YIELDING_TIME * fastest * np.clip(self._excess, -1.0, 1.0))
+        return np.asarray(TOUCH.yielding_time * fastest * np.clip(self._excess, -1.0, 1.0))
 
     def _describe(self, joint: int) -> str:
         drive = self._arm.drives[joint]

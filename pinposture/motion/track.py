@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,22 +19,32 @@ from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import require_limits
 from pinposture.control.torque_limits import find_overload, require_held
-from pinposture.motion import tolerances
 from pinposture.motion.loop import Callback, RecordedLoop, describe_arrival, in_scene
 from pinposture.motion.run import ENDINGS, RAISE_STEPS, Run
+from pinposture.motion.tolerances import ARRIVAL
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-FEWEST_STEPS = 300
-"""Number of steps after which a run stops unless another one is given, if it has no time limits."""
 
-DETOUR = 10.0
-"""With time limits: number of steps after which it stops, relative to those of the straight joint path.
-It is that of motions through keyframes; a run that makes no progress stops long before."""
+class StepBudget(NamedTuple):
+    """How many steps a run may take, if the caller does not say."""
 
-MAX_USUAL_STEPS = 1_000_000
-"""Largest number of these steps, as for motions through keyframes."""
+    fewest: int = 300
+    """Number of steps after which a run stops unless another one is given, if it has no time limits."""
+
+    detour: float = 10.0
+    """With time limits: number of steps after which it stops, relative to those of the straight joint path.
+    It is that of motions through keyframes; a run that makes no progress stops long before."""
+
+    most: int = 1_000_000
+    """Largest number of these steps, as for motions through keyframes."""
+
+    most_unseen_steps: int = 20_000
+    """Most steps with which a run that is out of steps is made again to find how many it needs: seconds."""
+
+
+STEP_BUDGET = StepBudget()
 
 
 def cycles_between(arm: Arm, start: Array, target: Target, limits: Limits) -> float:
@@ -62,13 +73,13 @@ def cycles_between(arm: Arm, start: Array, target: Target, limits: Limits) -> fl
 
 def usual_max_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
     """Return the number of steps after which a run stops unless another one is given; as `cycles_between`."""
-    return FEWEST_STEPS if limits.dt is None else ample_steps(arm, start, target, limits)
+    return STEP_BUDGET.fewest if limits.dt is None else ample_steps(arm, start, target, limits)
 
 
 def ample_steps(arm: Arm, start: Array, target: Target, limits: Limits) -> int:
     """Return a number of steps that is enough for most runs; as `cycles_between`."""
-    needed = DETOUR * cycles_between(arm, start, target, limits)
-    return max(FEWEST_STEPS, ceil(min(needed, MAX_USUAL_STEPS)))
+    needed = STEP_BUDGET.detour * cycles_between(arm, start, target, limits)
+    return max(STEP_BUDGET.fewest, ceil(min(needed, STEP_BUDGET.most)))
 
 
 def describe_blocked_goal(arm: Arm, target: Target, limits: Limits, scene: Scene | None) -> str:
@@ -147,7 +158,7 @@ def track(
     require_function("callback", callback)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
-    tolerance = tolerances.ARRIVAL * arm.length if tolerance is None else tolerance
+    tolerance = ARRIVAL.distance * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
 
     start = arm.checked_start(q0, "q0")
@@ -179,9 +190,6 @@ NO_CONFIGURATION = "the target has no configuration: fit_points finds one, and S
 CONTINUE = "continue"
 """End of the advice on a run that is out of steps, as long as nobody knows how many are enough."""
 
-MOST_UNSEEN_STEPS = 20_000
-"""Most steps with which a run that is out of steps is made again to find how many it needs: seconds."""
-
 
 def name_enough_steps(run: Run, controller: Controller, again: Callable[[int], Run]) -> Run:
     """Name a number of steps that is enough, in the reason of a run that is out of steps.
@@ -196,7 +204,7 @@ def name_enough_steps(run: Run, controller: Controller, again: Callable[[int], R
     """
     if run.status != "max_steps" or not _goes_on_fast(controller, run.scene):
         return run
-    most = min(ample_steps(run.arm, run.q[0], run.target, run.limits), MOST_UNSEEN_STEPS)
+    most = min(ample_steps(run.arm, run.q[0], run.target, run.limits), STEP_BUDGET.most_unseen_steps)
     direct = cycles_between(run.arm, run.q[0], run.target, run.limits)
     if max(direct, run.steps + 1) > most:
         return run

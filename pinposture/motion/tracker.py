@@ -32,20 +32,14 @@ from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
 from pinposture.control.torque_limits import find_overload
 from pinposture.errors import ControllerError, InvalidValue, PostureError
-from pinposture.motion import tolerances
 from pinposture.motion.arrival import Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
-from pinposture.motion.feedback import (
-    TRACKING_ERROR,
-    Feedback,
-    FeedbackState,
-    JointFailure,
-    read_start,
-)
+from pinposture.motion.feedback import FEEDBACK, Feedback, FeedbackState, JointFailure, read_start
 from pinposture.motion.loop import Loop, describe_binding_limits, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities
 from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
+from pinposture.motion.tolerances import ARRIVAL, ERROR_ROUNDING, MARGIN_ROUNDING, REST, STALL
 from pinposture.motion.touch import Touch, TouchDetector, read_torques
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
@@ -252,7 +246,10 @@ class Tracker:
             ("resync_time", resync_time),
             ("timeout", timeout),
             ("deadline", deadline),
-            ("max_tracking_error", TRACKING_ERROR if max_tracking_error is None else max_tracking_error),
+            (
+                "max_tracking_error",
+                FEEDBACK.tracking_error if max_tracking_error is None else max_tracking_error,
+            ),
         ):
             if not (is_number(value) and value > 0.0 and (value == inf or is_usable(value))):
                 raise InvalidValue(name, value, "a number > 0, or inf")
@@ -424,7 +421,7 @@ class Tracker:
         apart = np.abs(target.errors(before.points)).max() / self.arm.length
         if target.q is not None and before.q is not None:
             apart = max(apart, np.abs(target.q - before.q).max())
-        return bool(apart <= tolerances.SAME_TARGET)
+        return bool(apart <= ARRIVAL.same_target)
 
     def restart(self, q_measured: ArrayLike | Mapping[str, float], dq: ArrayLike | None = None) -> None:
         """Restart from the measured configuration, keeping the target.
@@ -652,13 +649,13 @@ class Tracker:
         displacement = np.zeros(self.arm.nv)
         if self._feedback.displacement is not None:
             displacement = self._feedback.displacement
-        noise = tolerances.TWO_AVERAGES * self._feedback.noise
+        noise = STALL.two_averages * self._feedback.noise
         self._settled_for += dt
-        steady = np.maximum(noise, tolerances.STEADY * self.arm.joint_units)
+        steady = np.maximum(noise, STALL.steady * self.arm.joint_units)
         if np.any(np.abs(displacement - self._settling) > steady):
             self._settling = displacement
             self._settled_for = 0.0
-        settled = self._settled_for >= tolerances.AVERAGES * self._feedback.averaging_time
+        settled = self._settled_for >= STALL.averages * self._feedback.averaging_time
         if settled and np.any(np.abs(displacement - self._displaced) > noise):
             self._displaced = displacement
             tasks = tuple(Displaced(task, displacement) for task in self._tasks)
@@ -667,7 +664,7 @@ class Tracker:
     def _watch_blockages(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
         """Watch whether obstacles keep the measured arm from its target [m], or from its margin, for long."""
         displacement = self._feedback.displacement
-        if not np.any(np.abs(dq) > tolerances.SETTLING * self.arm.joint_units):
+        if not np.any(np.abs(dq) > REST.settling * self.arm.joint_units):
             self._pursuit.rest(displacement, dt)
             self._evasion.rest(displacement, dt)
             return
@@ -688,7 +685,7 @@ class Tracker:
 
     def _has_other_obstacles(self, scene: Scene) -> bool:
         """Whether obstacles have moved, by more than noise within the margin, since the arm tried anew."""
-        noise = 2.0 * scene.margin + tolerances.GAIN * self.arm.length
+        noise = 2.0 * scene.margin + STALL.gain * self.arm.length
         return self._tried is None or scene.displacement(self._tried, self.arm.length) > noise
 
     def _try_again(self) -> None:
@@ -758,7 +755,7 @@ class Tracker:
         state = loop.ahead
         target = self._target or Target.from_configuration(self.arm, state.q)
         kept = controller.keep_clear(state, target, loop.limits, loop.motion)
-        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > tolerances.AT_REST * self.arm.joint_units))
+        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > REST.step * self.arm.joint_units))
 
     def _target_problem(self) -> str:
         """Return why the target cannot be used; empty if it can."""
@@ -802,7 +799,7 @@ class Tracker:
         if step is None or aim is None or sent is None or before is None or np.array_equal(step.dq, dq):
             return step
         after = sent.chain_state
-        most = tolerances.ERROR_ROUNDING * self.arm.length
+        most = ERROR_ROUNDING * self.arm.length
         rises = aim.mean_distance(after.points) > aim.mean_distance(before.chain_state.points) + most
         return step._replace(dq=np.array(dq), error_increasing=rises)
 
@@ -822,20 +819,20 @@ class Tracker:
         if feedback.reason or decision.evading or not aimed or error is None or feedback.state is None:
             return status, reason
         moved = float((np.abs(dq) / self.arm.joint_units).max())
-        if moved <= tolerances.AT_REST and error <= tolerances.ARRIVAL * self.arm.length:
+        if moved <= REST.step and error <= ARRIVAL.distance * self.arm.length:
             self._arrival.arrive()
-        if moved <= tolerances.SETTLING and self._arrival.arrived:
+        if moved <= REST.settling and self._arrival.arrived:
             return "converged", ""
         if compensated is not None:
             distance = compensated.mean_distance(feedback.state.chain_state.points)
-            if distance <= tolerances.AIMED * self.arm.length:
+            if distance <= ARRIVAL.aimed * self.arm.length:
                 return self._await_arrival()
         return status, reason
 
     def _await_arrival(self) -> tuple[str, str]:
         """Return status and reason of an arm whose command is where it aims, but which is not there yet."""
         positions = self._arrival.positions
-        if self._arrival.standing < tolerances.STANDING_TIME or self._target is None or positions is None:
+        if self._arrival.standing < REST.standing_time or self._target is None or positions is None:
             return "moving", ""
         return "stalled", self._feedback.describe_shortfall(self._target, positions)
 
@@ -911,6 +908,6 @@ class Tracker:
 
     def _describe_clearance(self, closest: Closest) -> tuple[str, ...]:
         margin = 0.0 if self.scene is None else self.scene.margin
-        if closest.distance >= (1.0 - tolerances.MARGIN_ROUNDING) * margin:
+        if closest.distance >= (1.0 - MARGIN_ROUNDING) * margin:
             return ()
         return (describe_lost_margin(closest.pair or (), closest.distance, margin),)

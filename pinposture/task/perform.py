@@ -23,10 +23,10 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
-from pinposture.motion import tolerances
 from pinposture.motion.held import HeldObject
 from pinposture.motion.loop import RecordedLoop, in_scene
 from pinposture.motion.run import Run
+from pinposture.motion.tolerances import ARRIVAL, STALL
 from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.placement import Target
 from pinposture.placement.target import target_at
@@ -287,7 +287,7 @@ def perform(
     controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
     dt = cycle_of(limits)
-    tolerance = tolerances.ARRIVAL * arm.length if tolerance is None else tolerance
+    tolerance = ARRIVAL.distance * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     start = reference.start if q0 is None else arm.checked_start(q0, "q0")
     require_instance("strict", strict, bool, "True or False")
@@ -634,7 +634,7 @@ class _Performance:
         while self._place < guide.end:
             place = self._place
             behind = loop.record.mean_error > self._max_lag
-            if behind and patient and loop.record.travel_without_progress() >= tolerances.STALL_TRAVEL:
+            if behind and patient and loop.record.travel_without_progress() >= STALL.travel:
                 error = loop.record.mean_error
                 self._note(place, f"the arm was {length_text(error)} behind on average, and did not catch up")
                 patient = False

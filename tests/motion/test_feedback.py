@@ -10,7 +10,7 @@ from scipy.linalg import expm
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion import Tracker
-from pinposture.motion.feedback import MAX_POINT_OFFSET, Feedback
+from pinposture.motion.feedback import FEEDBACK, Feedback
 from pinposture.placement import Target
 
 pytestmark = pytest.mark.filterwarnings("ignore:velocity .* is above")
@@ -153,7 +153,7 @@ def test_points_that_are_not_seen_or_cannot_be_count_for_nothing(arm: pp.Arm) ->
     right = arm.at(q).points
     feedback = Feedback(arm, 0.25, 0.3, 0.5)
     feedback.update(q, right, 0.01)
-    for spoilt in (np.nan, np.inf, -np.inf, 1e300, MAX_POINT_OFFSET * arm.length * 1.01):
+    for spoilt in (np.nan, np.inf, -np.inf, 1e300, FEEDBACK.max_point_offset * arm.length * 1.01):
         points = right.copy()
         points[2, 1] += spoilt
         feedback.update(q, points, 0.01)
