@@ -24,36 +24,47 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-BEND_SHARES = 0.7, 0.5, 0.35
-"""Curvature of the arcs relative to the largest that the modules can follow; each tree draws one. The spline
-bends more where arcs meet."""
 
-ENOUGH_PATHS = 3
-MAX_TRIES = 2000
-MAX_SHORTENINGS = 200
-"""Number of paths after which the shortest is taken, and attempts to grow a tree and to shorten a path."""
+class PathTreeSettings(NamedTuple):
+    """How trees of arcs are grown for a leader, and made into a path."""
 
-GOAL_SHARE = 0.15
-"""Share of growth steps towards the goal."""
+    bend_shares: tuple[float, ...] = 0.7, 0.5, 0.35
+    """Curvature of the arcs relative to the largest that the modules can follow; each tree draws one. The
+    spline bends more where arcs meet."""
 
-ROOM = 0.6
-"""Search space around start and goal, relative to their distance, or to half the arm if that is more."""
+    enough_paths: int = 3
+    max_tries: int = 2000
+    max_shortenings: int = 200
+    """Number of paths after which the shortest is taken, and attempts to grow a tree and to shorten a
+    path."""
 
-MAX_ARC = 1.4
-"""Largest angle between the initial direction of an arc and its chord [rad]."""
+    goal_share: float = 0.15
+    """Share of growth steps towards the goal."""
 
-POINTS_PER_RADIUS = 6.0
-POINTS_PER_PATH = 12
-"""Control points of the spline per smallest bending radius, and smallest total number."""
+    room: float = 0.6
+    """Search space around start and goal, relative to their distance, or to half the arm if that is
+    more."""
 
-SAME_PLACE = 1e-9
-"""Distance from the plane of a planar arm, or between two points, that is due to rounding, in arm lengths."""
+    max_arc: float = 1.4
+    """Largest angle between the initial direction of an arc and its chord [rad]."""
 
-EXCESS = 1e-6
-"""Relative excess of the curvature of an arc that is due to rounding: it is recomputed from its ends."""
+    points_per_radius: float = 6.0
+    points_per_path: int = 12
+    """Control points of the spline per smallest bending radius, and smallest total number."""
 
-CHECKED_PLACES = 1000
-"""Smallest number of points at which clearance and curvature of a path are checked."""
+    same_place: float = 1e-9
+    """Distance from the plane of a planar arm, or between two points, that is due to rounding, in arm
+    lengths."""
+
+    excess: float = 1e-6
+    """Relative excess of the curvature of an arc that is due to rounding: it is recomputed from its
+    ends."""
+
+    checked_places: int = 1000
+    """Smallest number of points at which clearance and curvature of a path are checked."""
+
+
+TREES = PathTreeSettings()
 
 
 def find_path(
@@ -130,8 +141,8 @@ def find_path(
     rng = np.random.default_rng(seed)
     found: list[Curve] = []
     why = "the tree did not reach the goal within the budget"
-    while len(found) < ENOUGH_PATHS:
-        bend = sharpest * BEND_SHARES[rng.integers(len(BEND_SHARES))]
+    while len(found) < TREES.enough_paths:
+        bend = sharpest * TREES.bend_shares[rng.integers(len(TREES.bend_shares))]
         tree = _ArcTree(begin, ahead, end, bend, plane, arm.length, space)
         places = tree.grow(rng, until)
         if places is not None:
@@ -181,7 +192,7 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
     misfits: list[PostureError] = []
     for name, vector in ends.items():
         across = float(np.linalg.norm(vector - plane.T @ (plane @ vector)))
-        most = SAME_PLACE * max(body.length, 1.0)
+        most = TREES.same_place * max(body.length, 1.0)
         if across > most:
             reason = (
                 f"the {name} is {length_text(across)} off the plane in which the arm moves; "
@@ -189,7 +200,7 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
             )
             misfits.append(OutOfReach(end, reason))
     apart = float(np.linalg.norm(end - begin))
-    if apart <= SAME_PLACE * body.length:
+    if apart <= TREES.same_place * body.length:
         misfits.append(InvalidValue("goal", end.tolist(), "a position away from the start"))
     if apart > follower.longest:
         missing = f"{length_text(apart - follower.longest)} are missing"
@@ -200,7 +211,7 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
 
 def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest: float) -> str:
     """Return why an arm cannot follow a curve; empty if it can."""
-    count = max(CHECKED_PLACES, int(np.ceil(curve.length / (0.1 * space.radius))))
+    count = max(TREES.checked_places, int(np.ceil(curve.length / (0.1 * space.radius))))
     s = np.linspace(0.0, curve.length, count)
     if curve.length > longest:
         return f"the best is {length_text(curve.length)} long; the arm can follow {length_text(longest)}"
@@ -317,8 +328,8 @@ class _ArcTree:
         self._space = space
         distance = float(np.linalg.norm(goal - start))
         self._stride = min(max(1.0 / bend, arm_length / 25.0), 0.5 * distance)
-        self._spacing = min(1.0 / (POINTS_PER_RADIUS * bend), distance / POINTS_PER_PATH)
-        room = ROOM * max(distance, 0.5 * arm_length)
+        self._spacing = min(1.0 / (TREES.points_per_radius * bend), distance / TREES.points_per_path)
+        room = TREES.room * max(distance, 0.5 * arm_length)
         self._low = np.minimum(start, goal) - room
         self._high = np.maximum(start, goal) + room
 
@@ -327,16 +338,16 @@ class _ArcTree:
         first = self._line()
         if not self._is_free(first):
             return None
-        places = np.empty((MAX_TRIES + 1, 3))
-        tangents = np.empty((MAX_TRIES + 1, 3))
+        places = np.empty((TREES.max_tries + 1, 3))
+        tangents = np.empty((TREES.max_tries + 1, 3))
         parents = [-1]
         places[0] = first.end
         tangents[0] = first.end_tangent
         count = 1
-        for _ in range(MAX_TRIES):
+        for _ in range(TREES.max_tries):
             if perf_counter() >= until:
                 break
-            to_goal = rng.random() < GOAL_SHARE
+            to_goal = rng.random() < TREES.goal_share
             aim = self._goal if to_goal else rng.uniform(self._low, self._high)
             aim = self._start + self._plane.T @ (self._plane @ (aim - self._start))
             offsets = aim - places[:count]
@@ -367,7 +378,7 @@ class _ArcTree:
         """Remove and move points as long as that shortens the path."""
         best = places
         length = self._length(self._arcs(places))
-        for _ in range(MAX_SHORTENINGS):
+        for _ in range(TREES.max_shortenings):
             if len(best) < 3 or perf_counter() >= until:
                 break
             k = int(rng.integers(1, len(best) - 1))
@@ -441,7 +452,7 @@ def _arc_to(place: Array, tangent: Array, aim: Array, bend: float) -> _Arc | Non
     aside = float(np.linalg.norm(side))
     angle = float(np.arctan2(aside, ahead))
     curvature = 2.0 * aside / distance**2
-    if angle > MAX_ARC or curvature > bend * (1.0 + EXCESS):
+    if angle > TREES.max_arc or curvature > bend * (1.0 + TREES.excess):
         return None
     length = distance / float(np.sinc(angle / np.pi))
     return _Arc(place, tangent, side / max(aside, 1e-300), curvature, length)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -66,18 +66,26 @@ FEED_REQUIREMENT = (
     "an arm whose first joint is prismatic, along the straight arm, and whose second is revolute, "
     "such as Arm.from_modules([feed, *modules]) with a feed of one prismatic joint along x"
 )
-FEED_AXIS_TOLERANCE = 1e-6
-"""Largest sine of the angle between the axis of the feed and that of the straight arm."""
 
-STRAIGHT_START_TOLERANCE = 1e-6
-"""Largest distance of a joint from its position in the straight arm, in `Arm.joint_units`."""
 
-MIN_LINK_LENGTH = 1e-9
-"""Largest length of a link that counts as zero, relative to the arm."""
+class FeedTolerances(NamedTuple):
+    """Which arms and starts count as an arm on a feed."""
 
-TIP_LEAD = 0.1
-"""Largest lead or lag of the tip relative to the feed, in arm lengths: links that cut bends short gain a
-share of (kappa l)^2 / 24, which is this much for a quarter turn in each."""
+    axis: float = 1e-6
+    """Largest sine of the angle between the axis of the feed and that of the straight arm."""
+
+    straight_start: float = 1e-6
+    """Largest distance of a joint from its position in the straight arm, in `Arm.joint_units`."""
+
+    min_link_length: float = 1e-9
+    """Largest length of a link that counts as zero, relative to the arm."""
+
+    tip_lead: float = 0.1
+    """Largest lead or lag of the tip relative to the feed, in arm lengths: links that cut bends short gain
+    a share of (kappa l)^2 / 24, which is this much for a quarter turn in each."""
+
+
+FEED = FeedTolerances()
 
 
 class FedArm:
@@ -125,11 +133,11 @@ class FedArm:
         stretched = body.positions(body.straight())
         along = float(chain.axes[0] @ axis)
         self.misfits: list[PostureError] = []
-        if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
+        if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED.axis:
             angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
             beside = np.linalg.norm(np.cross(chain.axes[0], body.at(body.straight()).points[-1] - chain.base))
             text = f"{angle:.3g} degrees off the straight arm, whose tip is {1e3 * beside:.3g} mm beside it"
-            tolerance = f"{np.degrees(FEED_AXIS_TOLERANCE):.2g} degrees"
+            tolerance = f"{np.degrees(FEED.axis):.2g} degrees"
             allowed = f"{FEED_REQUIREMENT}, to within {tolerance}; choose a tip on the axis"
             self.misfits.append(InvalidValue(f"axis of the feed {feed}", text, allowed))
         if start is None:
@@ -151,7 +159,7 @@ class FedArm:
         self.tip: Array = body.chain_at(body.configuration(rest[columns])).points[-1]
         self.length = body.length
         self.run_up = float((self.tip - body.chain.base) @ axis)
-        self.max_tip_lead = TIP_LEAD * body.length + float(links.chain.module_lengths.max())
+        self.max_tip_lead = FEED.tip_lead * body.length + float(links.chain.module_lengths.max())
 
 
 def _not_fed(arm: Arm) -> list[PostureError]:
@@ -176,11 +184,11 @@ def _not_straight(arm: Arm, start: Array, columns: NDArray[np.intp], straight: A
     """Return why joint positions (nv,) are not a start: bent joints, and joints beyond their limits."""
     found = list[PostureError]()
     bent = np.abs(start[columns] - straight) / arm.joint_units[columns]
-    if bent.max() > STRAIGHT_START_TOLERANCE:
+    if bent.max() > FEED.straight_start:
         worst = int(columns[np.argmax(bent)])
-        number = int(np.sum(bent > STRAIGHT_START_TOLERANCE))
+        number = int(np.sum(bent > FEED.straight_start))
         text = f"{number} of {len(bent)} joints bent, most {arm.joint_names[worst]}, by {bent.max():.4g}"
-        allowed = f"the straight arm, to within {STRAIGHT_START_TOLERANCE:g} (rad or module lengths)"
+        allowed = f"the straight arm, to within {FEED.straight_start:g} (rad or module lengths)"
         found.append(InvalidValue("start", text, f"{allowed}, at any position of the feed"))
     over = np.maximum(start - arm.limits.upper, arm.limits.lower - start)
     if not arm.within_limits(arm.configuration(start)):
@@ -204,7 +212,7 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     ends = [*body.chain.origins[1:], body.chain.points[-1]]
     names = []
     for name, begin, end in zip(body.chain.joints, body.chain.origins, ends, strict=True):
-        if np.linalg.norm(end - begin) > MIN_LINK_LENGTH * body.length:
+        if np.linalg.norm(end - begin) > FEED.min_link_length * body.length:
             joint = model.getJointId(name)
             there = places[joint].inverse() * pin.SE3(np.eye(3), np.asarray(end))
             names.append(f"end of the link after {name}")
@@ -217,14 +225,21 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
 PATH_PLACEMENTS = ("align", "as_is")
 """Placements of a path relative to the tip of the arm."""
 
-CURVATURE_SAMPLES = 2001
-"""Number of samples of a path for its largest curvature."""
 
-LINE_TOLERANCE = 1e-5
-"""Largest distance of the path from the axis of the feed where it has to follow it, in arm lengths."""
+class RouteSettings(NamedTuple):
+    """Where a path has to begin, and how it is sampled."""
 
-MAX_ENTRY_ANGLE = 1e-3
-"""Largest angle between the path and the axis of the arm at the entry [rad]."""
+    curvature_samples: int = 2001
+    """Number of samples of a path for its largest curvature."""
+
+    line: float = 1e-5
+    """Largest distance of the path from the axis of the feed where it has to follow it, in arm lengths."""
+
+    max_entry_angle: float = 1e-3
+    """Largest angle between the path and the axis of the arm at the entry [rad]."""
+
+
+ROUTE = RouteSettings()
 
 
 class Route:
@@ -274,7 +289,7 @@ class Route:
         fed = self.fed
         s = np.linspace(0.0, self.path.length, 2001)
         distances = np.linalg.norm(self.path.at(s) - (self.path.start + s[:, None] * fed.axis), axis=1)
-        off = np.flatnonzero(distances > LINE_TOLERANCE * fed.length)
+        off = np.flatnonzero(distances > ROUTE.line * fed.length)
         return fed.length + float(s[max(int(off[0]) - 1, 0)] if len(off) else s[-1])
 
 
@@ -283,7 +298,7 @@ def _off_the_entry(fed: FedArm, path: Curve) -> list[PostureError]:
     found = list[PostureError]()
     aligned = "without obstacles, placement='align' moves the path there"
     ahead = np.asarray(fed.tip - path.start)
-    most = LINE_TOLERANCE * fed.length
+    most = ROUTE.line * fed.length
     gap = float(np.linalg.norm(ahead))
     if gap > most:
         shift = ", ".join(f"{each:.6g}" for each in ahead)
@@ -294,9 +309,10 @@ def _off_the_entry(fed: FedArm, path: Curve) -> list[PostureError]:
         )
         found.append(InvalidValue("start of the path", f"{length_text(gap)} from the tip", allowed))
     angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
-    if angle > MAX_ENTRY_ANGLE:
+    if angle > ROUTE.max_entry_angle:
         direction = ", ".join(f"{each:.6g}" for each in fed.axis)
-        allowed = f"within {np.degrees(MAX_ENTRY_ANGLE):.2g} degrees of the arm, ({direction}); {aligned}"
+        most = np.degrees(ROUTE.max_entry_angle)
+        allowed = f"within {most:.2g} degrees of the arm, ({direction}); {aligned}"
         text = f"{np.degrees(angle):.3g} degrees off the axis of the arm"
         found.append(InvalidValue("first direction of the path", text, allowed))
     return found
@@ -330,29 +346,36 @@ Method = Literal["closest", "sequential"]
 
 PATH_METHODS: tuple[Method, ...] = ("closest", "sequential")
 
-BENDING_WEIGHT = 1e-3
-"""Weight of bending against distance from the route, in mean link lengths [1/rad]: small, only to
-hold joints that do not change the distance."""
 
-MAX_GAUSS_NEWTON_STEPS = 20
-GAUSS_NEWTON_TOLERANCE = 1e-8
-"""Largest number of steps to find a posture, and largest joint motion in the last of them."""
+class RoutePlacementSettings(NamedTuple):
+    """How a posture along the route is found, and how far from it parts of the arm may be."""
 
-MAX_LINK_DISTANCE = 0.25
-"""Largest distance of the end of a link from the route, in module lengths: that of the middle of a module
-with one hinge, bent by a quarter turn, whose ends are on the arc."""
+    bending_weight: float = 1e-3
+    """Weight of bending against distance from the route, in mean link lengths [1/rad]: small, only to
+    hold joints that do not change the distance."""
 
-DEVIATION_PER_BENDING = 1.25
-MIN_DEVIATION = 0.1
-MAX_DEVIATION = 0.6
-"""Largest distance of any part of the arm from the route, in lengths of its longest link l: the first times
-kappa l for the largest curvature kappa of the path, but not below the second, nor above the third. An arc
-over two links is kappa l / 2 high. Placements that keep to the path came to 97 % of this or less, on the
-paths of `make study STUDY=leader` and on six public robots; those that went astray to 1.6 to 6 times as
-much."""
+    max_steps: int = 20
+    last_motion: float = 1e-8
+    """Largest number of steps to find a posture, and largest joint motion in the last of them."""
 
-ROUTE_SAMPLES_PER_LINK = 80
-"""Samples of the route per mean link length, for the sequential placement."""
+    max_link_distance: float = 0.25
+    """Largest distance of the end of a link from the route, in module lengths: that of the middle of a
+    module with one hinge, bent by a quarter turn, whose ends are on the arc."""
+
+    deviation_per_bending: float = 1.25
+    min_deviation: float = 0.1
+    max_deviation: float = 0.6
+    """Largest distance of any part of the arm from the route, in lengths of its longest link l: the first
+    times kappa l for the largest curvature kappa of the path, but not below the second, nor above the
+    third. An arc over two links is kappa l / 2 high. Placements that keep to the path came to 97 % of this
+    or less, on the paths of `make study STUDY=leader` and on six public robots; those that went astray to
+    1.6 to 6 times as much."""
+
+    samples_per_link: int = 80
+    """Samples of the route per mean link length, for the sequential placement."""
+
+
+ON_ROUTE = RoutePlacementSettings()
 
 
 class SequentialPlacement:
@@ -362,7 +385,8 @@ class SequentialPlacement:
         fed = route.fed
         self._route = route
         self._samples = (
-            int(np.ceil(ROUTE_SAMPLES_PER_LINK * route.whole.length * fed.links.n_modules / fed.length)) + 1
+            int(np.ceil(ON_ROUTE.samples_per_link * route.whole.length * fed.links.n_modules / fed.length))
+            + 1
         )
 
     def place(self, depth: float) -> Array:
@@ -423,7 +447,7 @@ class ClosestPlacement:
         self._s = np.cumsum(lengths)
         self.depth = 0.0
         self.positions: Array = fed.straight.copy()
-        self._bending = (BENDING_WEIGHT * float(lengths.mean()) / fed.body.joint_units) ** 2
+        self._bending = (ON_ROUTE.bending_weight * float(lengths.mean()) / fed.body.joint_units) ** 2
 
     def place(self, depth: float) -> Array:
         """Return the joint positions of the body (nv - 1,) [rad or m] at a depth [m], near those found last.
@@ -434,10 +458,10 @@ class ClosestPlacement:
         """
         self._s = self._s + (depth - self.depth)
         self.depth = depth
-        for _ in range(MAX_GAUSS_NEWTON_STEPS):
+        for _ in range(ON_ROUTE.max_steps):
             step = self._step()
             self.positions = self.positions + step
-            if np.abs(step / self._fed.body.joint_units).max() < GAUSS_NEWTON_TOLERANCE:
+            if np.abs(step / self._fed.body.joint_units).max() < ON_ROUTE.last_motion:
                 break
         self._check_distances()
         return self.positions
@@ -481,7 +505,7 @@ class ClosestPlacement:
     def _check_distances(self) -> None:
         fed = self._fed
         distances = self.distances
-        allowed = MAX_LINK_DISTANCE * fed.length / fed.body.n_modules
+        allowed = ON_ROUTE.max_link_distance * fed.length / fed.body.n_modules
         if distances.max() <= allowed:
             return
         link = int(np.argmax(distances > allowed))
@@ -510,17 +534,24 @@ def _bounded_step(hessian: Array, gradient: Array, lower: Array, upper: Array) -
 
 # The motion of the feed, and its postures.
 
-DEPTH_ROUNDING = 1.0 + 1e-9
-"""Ratio of a depth to the largest allowed one that is due to rounding."""
 
-RAMP_SHARE = 0.1
-"""Share of the depth over which the feed accelerates, and over which it decelerates."""
+class FeedMotionSettings(NamedTuple):
+    """How the feed moves, and in how many rows."""
 
-MAX_STRIDE = 0.5
-"""Largest motion of the feed from one row to the next, in lengths of the shortest link."""
+    depth_rounding: float = 1.0 + 1e-9
+    """Ratio of a depth to the largest allowed one that is due to rounding."""
 
-MAX_LEADER_ROWS = 1_000_000
-"""Largest number of rows of a motion."""
+    ramp_share: float = 0.1
+    """Share of the depth over which the feed accelerates, and over which it decelerates."""
+
+    max_step: float = 0.5
+    """Largest motion of the feed from one row to the next, in lengths of the shortest link."""
+
+    max_rows: int = 1_000_000
+    """Largest number of rows of a motion."""
+
+
+FEED_MOTION = FeedMotionSettings()
 
 
 def follow_leader(
@@ -597,7 +628,7 @@ def follow_leader(
         raise_together([*misfits, error])
     raise_together([*misfits, *route.misfits, *([] if wrong_depth else _too_deep(route, depth))])
     fed = route.fed
-    stride = MAX_STRIDE * float(fed.links.chain.module_lengths.min())
+    stride = FEED_MOTION.max_step * float(fed.links.chain.module_lengths.min())
     deepest = _depth(route, depth)
     depths, interval = advance(deepest, speed, interval, stride)
     placing: ClosestPlacement | SequentialPlacement
@@ -642,16 +673,16 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
         of it.
 
     Raises:
-        InvalidValue: more than `MAX_LEADER_ROWS` of them.
+        InvalidValue: more than `FEED_MOTION.max_rows` of them.
     """
-    full = 1.0 + 2.0 * RAMP_SHARE  # duration, relative to that at full speed
+    full = 1.0 + 2.0 * FEED_MOTION.ramp_share  # duration, relative to that at full speed
     rows = full * depth / min(speed * interval, stride)
-    if not rows <= MAX_LEADER_ROWS:
-        allowed = f"a speed for at most {MAX_LEADER_ROWS} rows; this one needs {rows:.3g}"
+    if not rows <= FEED_MOTION.max_rows:
+        allowed = f"a speed for at most {FEED_MOTION.max_rows} rows; this one needs {rows:.3g}"
         raise InvalidValue("speed", speed, allowed)
     interval = interval / max(int(np.ceil(speed * interval / stride)), 1)
     steps = max(int(np.ceil(full * depth / speed / interval)), 2)
-    ramp = 2.0 * RAMP_SHARE / full  # share of the duration, in which half the distance is covered
+    ramp = 2.0 * FEED_MOTION.ramp_share / full  # share of the duration, in which half the distance is covered
     t = np.linspace(0.0, 1.0, steps + 1)
     x = np.minimum(np.minimum(t, 1.0 - t) / ramp, 1.0)
     rising = ramp * (x**3 - 0.5 * x**4) + np.maximum(np.minimum(t, 1.0 - t) - ramp, 0.0)
@@ -669,7 +700,7 @@ def _too_deep(route: Route, depth: float | None) -> list[PostureError]:
     ]
     if not route.misfits:
         limits.append((route.max_straight_depth, "beyond, the end of the straight feed would leave the path"))
-    exceeded = [(most, why) for most, why in limits if asked > most * DEPTH_ROUNDING]
+    exceeded = [(most, why) for most, why in limits if asked > most * FEED_MOTION.depth_rounding]
     if not exceeded:
         return []
     allowed = "; ".join(
@@ -711,8 +742,8 @@ def _last_row(way: FollowedPath, begin: Array, name: str, offsets: Array) -> Way
 def allowed_deviation(fed: FedArm, curvature: float) -> float:
     """Return how far a part of an arm may be from a path of some largest curvature [1/m], [m]."""
     link = float(fed.links.chain.module_lengths.max())
-    share = np.clip(DEVIATION_PER_BENDING * curvature * link, MIN_DEVIATION, MAX_DEVIATION)
-    return link * float(share)
+    share = ON_ROUTE.deviation_per_bending * curvature * link
+    return link * float(np.clip(share, ON_ROUTE.min_deviation, ON_ROUTE.max_deviation))
 
 
 def _require_near(route: Route, deviation: Deviation, depths: Array, method: str) -> None:
@@ -723,7 +754,7 @@ def _require_near(route: Route, deviation: Deviation, depths: Array, method: str
     """
     fed = route.fed
     path = route.path
-    bend = float(path.curvature(np.linspace(0.0, path.length, CURVATURE_SAMPLES)).max())
+    bend = float(path.curvature(np.linspace(0.0, path.length, ROUTE.curvature_samples)).max())
     allowed = allowed_deviation(fed, bend)
     if deviation.largest <= allowed:
         return
@@ -830,14 +861,20 @@ def _require_wider(radius: float, arm: Arm, scene: Scene | None) -> None:
         raise InvalidValue("pipe", radius, allowed)
 
 
-PIECES_PER_LINK = 8
-"""Pieces into which each link is divided; distances are measured at their ends."""
+class DeviationSamples(NamedTuple):
+    """At how many points the distance of an arm from the path of its tip is measured."""
 
-SAMPLES_PER_ARM = 4000
-"""Samples of the path per arm length."""
+    pieces_per_link: int = 8
+    """Pieces into which each link is divided; distances are measured at their ends."""
 
-ROWS_PER_CHUNK = 256
-"""Number of configurations whose distances are computed at a time."""
+    samples_per_arm: int = 4000
+    """Samples of the path per arm length."""
+
+    rows_per_chunk: int = 256
+    """Number of configurations whose distances are computed at a time."""
+
+
+DEVIATION = DeviationSamples()
 
 
 @dataclass(frozen=True, eq=False)
@@ -917,8 +954,8 @@ def path_deviation(
 def _deviation(route: Route, rows: Array) -> Deviation:
     """Return the distances of configurations, (N, nq), from a route."""
     chunks = [
-        _deviation_of_few(route, rows[first : first + ROWS_PER_CHUNK])
-        for first in range(0, len(rows), ROWS_PER_CHUNK)
+        _deviation_of_few(route, rows[first : first + DEVIATION.rows_per_chunk])
+        for first in range(0, len(rows), DEVIATION.rows_per_chunk)
     ]
     points = np.concatenate([each.points for each in chunks])
     body = np.concatenate([each.body for each in chunks])
@@ -960,7 +997,7 @@ def _stations(arm: Arm) -> list[int]:
 
 def _cut_links(stations: Array) -> tuple[Array, Array]:
     """Divide links into pieces: their ends (N, p, 3), and their arc lengths along the arm, (p,) [m]."""
-    shares = np.arange(1, PIECES_PER_LINK + 1) / PIECES_PER_LINK
+    shares = np.arange(1, DEVIATION.pieces_per_link + 1) / DEVIATION.pieces_per_link
     begins = stations[:, :-1, None]
     links = np.diff(stations, axis=1)[:, :, None]
     inner = (begins + shares[:, None] * links).reshape(len(stations), -1, 3)
@@ -986,7 +1023,7 @@ def _travelled(route: Route, tips: Array, depths: Array) -> Array:
 def _distances(route: Route, places: Array, ends: Array) -> Array:
     """Return distances (N, p) [m] of points (N, p, 3) from the route up to an arc length, (N,) [m]."""
     curve = route.whole
-    count = max(int(np.ceil(SAMPLES_PER_ARM * curve.length / route.fed.length)), 2)
+    count = max(int(np.ceil(DEVIATION.samples_per_arm * curve.length / route.fed.length)), 2)
     s = np.linspace(0.0, curve.length, count)
     samples = curve.at(s)
     flat = places.reshape(-1, 3)

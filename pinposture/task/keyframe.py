@@ -464,22 +464,31 @@ def _smaller_inside(before: Array, after: Array) -> Array:
 
 # Keyframes resolved for an arm: their configurations, by one method for all.
 
-SEQUENTIAL_SAMPLES = 200_000
-"""Samples of a curve in sequential placement. With fewer, joint accelerations would be rough, as control
-points move from one chord to the next."""
 
-CURVE_LENGTH_MARGIN = 1.2
-"""Length of curves between keyframes, relative to those at keyframes, of which the arm may cover less."""
+class ResolvingSettings(NamedTuple):
+    """How keyframes are resolved, and when their posture and tip count as reached."""
 
-POSTURE_TOLERANCE = 1e-8
-"""Mean distance of the control points from their targets at which a posture is reached, in arm lengths."""
+    sequential_samples: int = 200_000
+    """Samples of a curve in sequential placement. With fewer, joint accelerations would be rough, as
+    control points move from one chord to the next."""
 
-STRICT_TIP_TOLERANCE = 1e-4
-"""Largest error of a tip task with priority, in arm lengths."""
+    curve_length_margin: float = 1.2
+    """Length of curves between keyframes, relative to those at keyframes, of which the arm may cover
+    less."""
+
+    posture_tolerance: float = 1e-8
+    """Mean distance of the control points from their targets at which a posture is reached, in arm
+    lengths."""
+
+    strict_tip: float = 1e-4
+    """Largest error of a tip task with priority, in arm lengths."""
+
+    sliding_rest: float = 0.1
+    """Length of a curve that an arm with slides may leave uncovered without a warning, in module
+    lengths."""
 
 
-SLIDING_REST = 0.1
-"""Length of a curve that an arm with slides may leave uncovered without a warning, in module lengths."""
+RESOLVING = ResolvingSettings()
 
 
 class Resolved(NamedTuple):
@@ -589,7 +598,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
             what = f"{title(keyframes, index)}: its curve"
             warn_caller(far_moved(arm, what, target.moved))
     longest = max([arm.length, *(float(resolved[k].parameters[-1]) for k in curved)])
-    return ResolvedMotion(tuple(resolved), method, CURVE_LENGTH_MARGIN * longest)
+    return ResolvedMotion(tuple(resolved), method, RESOLVING.curve_length_margin * longest)
 
 
 def _resolved(arm: Arm, target: Target, fixed: bool) -> Resolved:
@@ -609,11 +618,12 @@ def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = Non
         "method": method,
     }
     if near is not None or keyframe.joints is None:
-        return resolve_targets(arm, curve, SEQUENTIAL_SAMPLES, near=near, **options)
+        return resolve_targets(arm, curve, RESOLVING.sequential_samples, near=near, **options)
     try:
-        return resolve_targets(arm, curve, SEQUENTIAL_SAMPLES, near=_of_joints(arm, keyframe), **options)
+        near = _of_joints(arm, keyframe)
+        return resolve_targets(arm, curve, RESOLVING.sequential_samples, near=near, **options)
     except TargetError:
-        target = resolve_targets(arm, curve, SEQUENTIAL_SAMPLES, **options)
+        target = resolve_targets(arm, curve, RESOLVING.sequential_samples, **options)
     where = f"keyframe {keyframe.name!r}" if keyframe.name else "a keyframe"
     text = "joints: its curve has no posture near them; they are ignored"
     warn_caller(f"{where}: {text}")
@@ -631,7 +641,8 @@ def _warn_of_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolve
     anchored = cast(AnchoredCurve, resolved.anchored)
     covered = float(resolved.parameters[-1])
     length = anchored.curve.length - anchored.parameter
-    allowed = float(arm.chain.module_lengths.max()) * (SLIDING_REST if np.any(fitting_slides(arm)) else 1.0)
+    share = RESOLVING.sliding_rest if np.any(fitting_slides(arm)) else 1.0
+    allowed = share * float(arm.chain.module_lengths.max())
     if not keyframes[index].trim and length - covered > allowed:
         text = f"the arm takes the first {length_text(covered)} of its curve of {length_text(length)}"
         warn_caller(f"{title(keyframes, index)}: {text}; set trim to accept this")
@@ -663,11 +674,11 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
     objective = Objective(arm, target_at(arm, keyframe, target, q), (keyframe.tip,))
     edges = np.array([arm.limits.lower, arm.limits.upper])
     problem = PlanningProblem(objective, arm.chain_at(q), edges)
-    state = find_goal(problem, POSTURE_TOLERANCE * arm.length).state
+    state = find_goal(problem, RESOLVING.posture_tolerance * arm.length).state
     missed = 0.0
     if keyframe.tip.priority:  # the posture gives way: a compromise can end at a distance from the goal
         state, missed = bring_to_goal(arm, keyframe.tip, state)
-    if missed > STRICT_TIP_TOLERANCE * arm.length:
+    if missed > RESOLVING.strict_tip * arm.length:
         advice = "move it nearer, limit the posture to a region, or use a weight instead of priority"
         reason = f"its tip task with priority is missed by {length_text(missed)} in the closest posture found"
         raise TaskError(where, f"{reason}; {advice}")
@@ -727,13 +738,20 @@ def joints_misfit(arm: Arm, keyframe: Keyframe) -> str:
 
 # Joint positions for curves that change slightly from one row to the next.
 
-VISCOSITY = 3e-3
-"""Cost of joint motion from one keyframe to the next relative to that of distances: root of the ratio, for
-`TYPICAL_ROWS` rows. It restrains joints that hardly change the shape, such as those that roll a nearly
-straight arm; others lag behind by a negligible amount."""
 
-TYPICAL_ROWS = 400
-"""Rows from one keyframe to the next for which `VISCOSITY` is given."""
+class RowCosts(NamedTuple):
+    """What motion from one row to the next costs."""
+
+    viscosity: float = 3e-3
+    """Cost of joint motion from one keyframe to the next relative to that of distances: root of the ratio,
+    for `TYPICAL_ROWS` rows. It restrains joints that hardly change the shape, such as those that roll a
+    nearly straight arm; others lag behind by a negligible amount."""
+
+    typical_rows: int = 400
+    """Rows from one keyframe to the next for which `VISCOSITY` is given."""
+
+
+ROW_COSTS = RowCosts()
 
 
 class SequentialFollower:
@@ -761,7 +779,7 @@ class SequentialFollower:
         stopped = kernels.place_modules(
             spline,
             length,
-            SEQUENTIAL_SAMPLES,
+            RESOLVING.sequential_samples,
             self._run.numbers,
             self._run.shapes,
             self._lower,
@@ -803,7 +821,8 @@ class LeastSquaresFollower:
         found = np.empty((count, len(first)))
         found[0] = first
         jacobian = problems[0].evaluate(curves[0], first)[1]
-        weight = VISCOSITY**2 * count / TYPICAL_ROWS * stiffness(self.problem, jacobian.T @ jacobian)
+        cost = ROW_COSTS.viscosity**2 * count / ROW_COSTS.typical_rows
+        weight = cost * stiffness(self.problem, jacobian.T @ jacobian)
         for i in range(1, count):
             before = found[i - 1]
             guess = before + (before - found[i - 2] if i > 1 else 0.0)

@@ -56,40 +56,49 @@ logger = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], object]
 
-CURVES_PER_CHUNK = 128
-"""Number of curves that are computed at a time."""
 
-ROW_STEP = 0.05
-MAX_ROW_STEP = 0.06
-"""Intended and largest accepted joint motion from one row to the next, in `Arm.joint_units`."""
+class TransitionSettings(NamedTuple):
+    """How the rows from one keyframe to the next are found, and when other configurations are tried."""
 
-JUMP_HALVINGS = 8
-JUMP_SHARE = 0.1
-"""Bisections in time that distinguish a jump from a long step, and the share of the step that may remain."""
+    curves_per_chunk: int = 128
+    """Number of curves that are computed at a time."""
 
-EQUAL_ERROR = 1e-7
-SIMILAR_ERROR = 0.01
-"""How much farther off its curve a keyframe may be if reached from the previous one than if resolved alone:
-in arm lengths, and in module lengths if other paths are farther off the curves."""
+    row_step: float = 0.05
+    max_row_step: float = 0.06
+    """Intended and largest accepted joint motion from one row to the next, in `Arm.joint_units`."""
 
-MAX_SHIFT = 0.05
-MAX_EXTRA_ERROR = 0.02
-"""Largest joint motion by which the rows before a keyframe may be shifted to meet it [rad], and how much
-farther off the curve the arm may be in between before other configurations are tried [module lengths]."""
+    jump_halvings: int = 8
+    jump_share: float = 0.1
+    """Bisections in time that distinguish a jump from a long step, and the share of the step that may
+    remain."""
 
-MIN_TRAVEL = 12.0
-TRAVEL_RATIO = 2.5
-"""Largest joint motion from keyframe to keyframe: in rad, or relative to their distance if that is more. It
-prevents jumps where a local optimum ends."""
+    equal_error: float = 1e-7
+    similar_error: float = 0.01
+    """How much farther off its curve a keyframe may be if reached from the previous one than if resolved
+    alone: in arm lengths, and in module lengths if other paths are farther off the curves."""
 
-MOST_SOLVED = 400
-"""Largest number of rows from one keyframe to the next at which least squares place the arm; cubic splines
-interpolate the rows in between. With 400 of 1,200, arms of 6 and 8 modules on the way to a bow are off by
-2.4e-6 and 1.9e-7 rad at the others."""
+    max_shift: float = 0.05
+    max_extra_error: float = 0.02
+    """Largest joint motion by which the rows before a keyframe may be shifted to meet it [rad], and how
+    much farther off the curve the arm may be in between before other configurations are tried [module
+    lengths]."""
 
-CROSSFADE_STARTS = 13
-COST_ROWS = 33
-"""Number of rows at which a transition to other configurations is tried, and its cost computed."""
+    min_travel: float = 12.0
+    travel_ratio: float = 2.5
+    """Largest joint motion from keyframe to keyframe: in rad, or relative to their distance if that is
+    more. It prevents jumps where a local optimum ends."""
+
+    most_solved: int = 400
+    """Largest number of rows from one keyframe to the next at which least squares place the arm; cubic
+    splines interpolate the rows in between. With 400 of 1,200, arms of 6 and 8 modules on the way to a bow
+    are off by 2.4e-6 and 1.9e-7 rad at the others."""
+
+    crossfade_starts: int = 13
+    cost_rows: int = 33
+    """Number of rows at which a transition to other configurations is tried, and its cost computed."""
+
+
+TRANSITION = TransitionSettings()
 
 
 class StretchCurves:
@@ -117,10 +126,10 @@ class StretchCurves:
 
     def at(self, row: int) -> BentCurve:
         """Return the curve at a row; efficient for consecutive rows."""
-        chunk, place = divmod(row, CURVES_PER_CHUNK)
+        chunk, place = divmod(row, TRANSITION.curves_per_chunk)
         if chunk != self._chunk:
-            begin = CURVES_PER_CHUNK * chunk
-            self._made = self.of(range(begin, begin + CURVES_PER_CHUNK))
+            begin = TRANSITION.curves_per_chunk * chunk
+            self._made = self.of(range(begin, begin + TRANSITION.curves_per_chunk))
             self._chunk = chunk
         return self._made[place]
 
@@ -190,13 +199,13 @@ class RowSolver:
             progress: called with the number of finished rows and the total number.
         """
         per_cycle = self._first_guess(cycles)
-        for attempt in range(MAX_REFINEMENTS):
+        for attempt in range(ROWS.max_refinements):
             rows = cycles.finer(per_cycle)
             positions = self._with_tips(rows, self._positions(rows, progress))
             longest = float((np.abs(np.diff(positions, axis=0)) / self._arm.joint_units).max())
-            more = _rows_per_cycle(cycles, math.ceil(per_cycle * longest / ROW_STEP))
+            more = _rows_per_cycle(cycles, math.ceil(per_cycle * longest / TRANSITION.row_step))
             logger.debug("%d rows, the longest step %.3g", rows.rows, longest)
-            if longest <= MAX_ROW_STEP or more <= per_cycle or attempt == MAX_REFINEMENTS - 1:
+            if longest <= TRANSITION.max_row_step or more <= per_cycle or attempt == ROWS.max_refinements - 1:
                 break
             per_cycle = more
         return Motion(rows, per_cycle, positions)
@@ -222,8 +231,8 @@ class RowSolver:
         """Estimate the rows per cycle for short steps from the distances between keyframes."""
         positions = np.array([each.positions for each in self._motion.keyframes])
         apart = (np.abs(np.diff(positions, axis=0)) / self._arm.joint_units).max(axis=1)
-        speed = PEAK_SPEED_RATIO * float((apart / cycles.between).max())
-        return _rows_per_cycle(cycles, math.ceil(speed / ROW_STEP))
+        speed = ROWS.peak_speed_ratio * float((apart / cycles.between).max())
+        return _rows_per_cycle(cycles, math.ceil(speed / TRANSITION.row_step))
 
     def _with_tips(self, rows: Schedule, positions: Array) -> Array:
         """Shift the rows so that keyframes meet their tip tasks, smoothly in between."""
@@ -290,10 +299,10 @@ class RowSolver:
             if placed is None:
                 return None
             before = rows[i] = self._unwrapped(placed, before)
-            if row % CURVES_PER_CHUNK == 0:
+            if row % TRANSITION.curves_per_chunk == 0:
                 report(row)
         steps = (np.abs(np.diff(rows, axis=0)) / self._arm.joint_units).max(axis=1)
-        long = steps > MAX_ROW_STEP
+        long = steps > TRANSITION.max_row_step
         for i in np.flatnonzero(long)[np.argsort(-steps[long])[:5]].tolist():
             if self._jumps(self._sequential, curves, numbers[i], rows[i], rows[i + 1]):
                 return None
@@ -301,7 +310,7 @@ class RowSolver:
         at = stretch.rows - stretch.rows[0]
         own = [self._motion.keyframes[k].positions for k in range(stretch.first, stretch.last + 1)]
         misses = [self._unwrapped(q, rows[i]) - rows[i] for q, i in zip(own, at.tolist(), strict=True)]
-        if np.abs(np.array(misses) / self._arm.joint_units).max() > MAX_SHIFT:
+        if np.abs(np.array(misses) / self._arm.joint_units).max() > TRANSITION.max_shift:
             return None  # a keyframe has joints of its own
         return np.asarray(rows + interpolate(stretch, np.array(misses), self._continuity, numbers))
 
@@ -312,7 +321,7 @@ class RowSolver:
         units = self._arm.joint_units
         width = 1.0
         whole = float((np.abs(last - first) / units).max())
-        for _ in range(JUMP_HALVINGS):
+        for _ in range(TRANSITION.jump_halvings):
             width /= 2.0
             placed = follower.positions(curves.of([row + width])[0])
             if placed is None:
@@ -323,7 +332,7 @@ class RowSolver:
             else:
                 first = middle
                 row = row + width
-        return float((np.abs(last - first) / units).max()) > JUMP_SHARE * whole
+        return float((np.abs(last - first) / units).max()) > TRANSITION.jump_share * whole
 
     def _follow(
         self, stretch: Stretch, curves: StretchCurves, before: Array, report: Callable[[int], None]
@@ -371,23 +380,25 @@ class RowSolver:
     ) -> Array:
         """Return unknowns of all rows from one keyframe to the next, (r, n + m)."""
         count = end.row - start.row + 1
-        solved = np.append(np.arange(0, count - 1, math.ceil((count - 1) / MOST_SOLVED)), count - 1)
+        every = math.ceil((count - 1) / TRANSITION.most_solved)
+        solved = np.append(np.arange(0, count - 1, every), count - 1)
         bent = curves.of(start.row + solved)
         problems = [problem_at(row) for row in (start.row + solved).tolist()]
         fitted = refined(problems[0], bent[0], start.unknowns)
         shift = start.unknowns - fitted
         zero = np.zeros(len(fitted))
-        travel = max(MIN_TRAVEL, TRAVEL_RATIO * float(np.abs(end.unknowns - fitted).max()))
+        distance = float(np.abs(end.unknowns - fitted).max())
+        travel = max(TRANSITION.min_travel, TRANSITION.travel_ratio * distance)
         forward = _filled(solved, self._follower.follow(bent, problems, fitted, travel))
         arrival = problems[-1]
         last = bent[-1]
         goal = end.unknowns if end.pinned else refined(arrival, last, forward[-1])
         left = goal - forward[-1]
         best = arrival.distance(last, end.unknowns)
-        met = float(np.abs(left).max()) <= MAX_SHIFT
+        met = float(np.abs(left).max()) <= TRANSITION.max_shift
         forward += ramp(count, shift, left if met else zero)
 
-        sampled = np.unique(np.linspace(0, count - 1, COST_ROWS).astype(np.int64))
+        sampled = np.unique(np.linspace(0, count - 1, TRANSITION.cost_rows).astype(np.int64))
         sampled_curves = curves.of(start.row + sampled)
 
         def errors(rows: Array) -> list[float]:
@@ -402,14 +413,16 @@ class RowSolver:
         between = errors(forward)
         excess = between[-1] - best
         module = 1.0 / self._arm.n_modules
-        if met and excess <= EQUAL_ERROR and max(between) <= best + MAX_EXTRA_ERROR * module:
+        most = best + TRANSITION.max_extra_error * module
+        if met and excess <= TRANSITION.equal_error and max(between) <= most:
             return forward
         arrived = refined(arrival, last, end.unknowns)
         backward = self._follower.follow(bent[::-1], problems[::-1], arrived, travel)[::-1]
         backward = _filled(solved, backward) + ramp(count, zero, end.unknowns - arrived)
-        starts = np.unique(np.linspace(0, count - 1 - window(count), CROSSFADE_STARTS).astype(np.int64))
-        mixed = [crossfade(forward, backward, int(at)) for at in starts]
-        return min([forward, *mixed] if met and excess <= SIMILAR_ERROR * module else mixed, key=cost)
+        starts = np.linspace(0, count - 1 - window(count), TRANSITION.crossfade_starts)
+        mixed = [crossfade(forward, backward, int(at)) for at in np.unique(starts.astype(np.int64))]
+        usable = met and excess <= TRANSITION.similar_error * module
+        return min([forward, *mixed] if usable else mixed, key=cost)
 
 
 def _filled(solved: NDArray[np.int64], values: Array) -> Array:
@@ -420,20 +433,28 @@ def _filled(solved: NDArray[np.int64], values: Array) -> Array:
 
 # The reference.
 
-PEAK_SPEED_RATIO = 1.9
-"""Estimated ratio of the largest to the mean speed from one keyframe to the next."""
 
-MIN_ROWS_BETWEEN = 16
-MAX_ROWS_IN_ALL = 200_000
-"""Smallest number of rows from one keyframe to the next, if that many rows in all suffice for it."""
+class RowCounts(NamedTuple):
+    """How many rows a reference has."""
 
-ENOUGH_ROWS = 10_000
-ENOUGH_ROWS_PER_CYCLE = 4
-"""Numbers of rows in all, and per cycle, beyond which long steps do not add rows. Those that a short time
-needs multiply the rows of all other times; 4 per cycle are enough for 10 rad/s in cycles of 20 ms."""
+    peak_speed_ratio: float = 1.9
+    """Estimated ratio of the largest to the mean speed from one keyframe to the next."""
 
-MAX_REFINEMENTS = 3
-"""Number of attempts, each with more rows, to make the steps between rows short."""
+    min_between: int = 16
+    max_in_all: int = 200_000
+    """Smallest number of rows from one keyframe to the next, if that many rows in all suffice for it."""
+
+    enough: int = 10_000
+    enough_per_cycle: int = 4
+    """Numbers of rows in all, and per cycle, beyond which long steps do not add rows. Those that a short
+    time needs multiply the rows of all other times; 4 per cycle are enough for 10 rad/s in cycles of 20
+    ms."""
+
+    max_refinements: int = 3
+    """Number of attempts, each with more rows, to make the steps between rows short."""
+
+
+ROWS = RowCounts()
 
 
 def keyframe_reference(
@@ -597,16 +618,16 @@ def _slowed(
         short = distance <= speed * gaining
         needed = np.where(short, np.sqrt(2.0 * ends * distance / bounds.brake), needed + gaining)
     least = np.minimum(needed.max(axis=1), MOST_CYCLES)
-    least *= ENOUGH_ROWS / max(least.sum(), ENOUGH_ROWS)
+    least *= ROWS.enough / max(least.sum(), ROWS.enough)
     between = np.maximum(cycles.between, np.floor(least).astype(np.int64))
     return None if np.array_equal(between, cycles.between) else cycles.with_between(between)
 
 
 def _rows_per_cycle(cycles: Schedule, wanted: int) -> int:
     """Return the number of rows per cycle, if so many are wanted for short steps."""
-    fewest = math.ceil(MIN_ROWS_BETWEEN / int(cycles.between.min()))
-    enough = max(ENOUGH_ROWS // cycles.rows, ENOUGH_ROWS_PER_CYCLE)
-    return max(1, min(max(fewest, min(wanted, enough)), MAX_ROWS_IN_ALL // cycles.rows))
+    fewest = math.ceil(ROWS.min_between / int(cycles.between.min()))
+    enough = max(ROWS.enough // cycles.rows, ROWS.enough_per_cycle)
+    return max(1, min(max(fewest, min(wanted, enough)), ROWS.max_in_all // cycles.rows))
 
 
 def _weights(rows: Schedule, masks: list[Array]) -> Array:

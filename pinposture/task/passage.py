@@ -19,14 +19,21 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-MAX_CHECKED_ROWS = 500
-"""Largest number of postures on the way whose clearance is computed."""
 
-MAX_TRIED_ROWS = 60
-"""Largest number of postures, those that intrude most, for which a place with more room is sought."""
+class PassageSettings(NamedTuple):
+    """Which postures on the way are checked for clearance, and moved."""
 
-MARGIN_SHARE = 0.999
-"""Share of the margin that counts as kept."""
+    max_checked_rows: int = 500
+    """Largest number of postures on the way whose clearance is computed."""
+
+    max_tried_rows: int = 60
+    """Largest number of postures, those that intrude most, for which a place with more room is sought."""
+
+    margin_share: float = 0.999
+    """Share of the margin that counts as kept."""
+
+
+PASSAGE = PassageSettings()
 
 
 class Gap(NamedTuple):
@@ -66,7 +73,7 @@ def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -
         shift = 2.0 * cast(Way, waypoint.way).planned + max_lag
         intruding = np.flatnonzero(distances < _kept(reference, scene))
         intruding = intruding[np.argsort(distances[intruding], kind="stable")]
-        for row in rows[intruding[:MAX_TRIED_ROWS]].tolist():
+        for row in rows[intruding[: PASSAGE.max_tried_rows]].tolist():
             state = reference.arm.chain_at(reference.configuration(row))
             gap = _narrowest(model.nearest(state, scene.margin + 2.0 * shift), scene, shift)
             if gap is not None and gap.room < _kept(reference, scene):
@@ -104,7 +111,7 @@ def _ways(reference: Reference, scene: Scene) -> Iterator[tuple[Waypoint, NDArra
     for waypoint in reference.waypoints:
         if waypoint.way is not None:
             model = CollisionModel(reference.arm, scene)  # made on first use, which takes long
-            count = min(waypoint.row - first + 1, MAX_CHECKED_ROWS)
+            count = min(waypoint.row - first + 1, PASSAGE.max_checked_rows)
             rows = np.unique(np.linspace(first, waypoint.row, count).astype(np.int64))
             configurations = [reference.configuration(row) for row in rows.tolist()]
             yield waypoint, rows, np.array([model.minimum(q).distance for q in configurations])
@@ -113,7 +120,7 @@ def _ways(reference: Reference, scene: Scene) -> Iterator[tuple[Waypoint, NDArra
 
 def _kept(reference: Reference, scene: Scene) -> float:
     """Return the clearance from which on the margin counts as kept [m]."""
-    return MARGIN_SHARE * scene.margin - 1e-9 * reference.arm.length
+    return PASSAGE.margin_share * scene.margin - 1e-9 * reference.arm.length
 
 
 def _closest(reference: Reference, scene: Scene, rows: NDArray[np.int64], distances: Array) -> str:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Literal, cast
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,33 +49,41 @@ Progress = Callable[[float, float], object]
 
 logger = logging.getLogger(__name__)
 
-MAX_MEAN_LAG = 0.1
-"""Mean distance of the control points from their targets, in module lengths, beyond which the plan waits for
-a controller that does not look ahead, and beyond which a named posture is missed."""
 
-ROW_TOLERANCE = 1e-9
-"""Distance before a row at which it counts as reached, in rows."""
+class PerformSettings(NamedTuple):
+    """When the plan waits for the arm, slows down, or is given up."""
+
+    max_mean_lag: float = 0.1
+    """Mean distance of the control points from their targets, in module lengths, beyond which the plan
+    waits for a controller that does not look ahead, and beyond which a named posture is missed."""
+
+    row_tolerance: float = 1e-9
+    """Distance before a row at which it counts as reached, in rows."""
+
+    max_cycles: float = 1e6
+    """Largest number of cycles of a motion."""
+
+    step_budget_ratio: float = 10.0
+    step_budget_extra: int = 3000
+    """Number of steps after which a motion is given up: a multiple of the expected number, plus an
+    extra."""
+
+    waypoint_share: float = 0.6
+    """Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a waypoint."""
+
+    max_slowdowns: int = 10
+    slowdown_margin: float = 1.02
+    """Number of attempts to pass all waypoints closely enough, and the factor by which each slows down more
+    than the error requires."""
+
+    held_rounding: float = 1e-12
+    """Motion from one row to the next that counts as none [rad or m]."""
+
+
+PERFORM = PerformSettings()
+
 
 STOPPED = "stopped by the callback"
-
-MAX_PERFORMED_CYCLES = 1e6
-"""Largest number of cycles of a motion."""
-
-STEP_BUDGET_RATIO = 10.0
-STEP_BUDGET_EXTRA = 3000
-"""Number of steps after which a motion is given up: a multiple of the expected number, plus an extra."""
-
-
-MARK_SHARE = 0.6
-"""Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a waypoint."""
-
-MAX_SLOWDOWNS = 10
-SLOWDOWN_MARGIN = 1.02
-"""Number of attempts to pass all waypoints closely enough, and the factor by which each slows down more than
-the error requires."""
-
-HELD_ROUNDING = 1e-12
-"""Motion from one row to the next that counts as none [rad or m]."""
 
 
 class ReferencePath:
@@ -125,8 +133,8 @@ class ReferencePath:
     def _retime(self) -> None:
         self.timed = retime(self.path, self._limits, self._rates)
         self._profile = cast(SpeedProfile, self.timed.profile)  # there is one for finite rates
-        if self.steps > MAX_PERFORMED_CYCLES:
-            most = f"{MAX_PERFORMED_CYCLES:g}"
+        if self.steps > PERFORM.max_cycles:
+            most = f"{PERFORM.max_cycles:g}"
             allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
             raise InvalidValue("cycles of the motion", round(self.steps), allowed)
 
@@ -137,7 +145,7 @@ class ReferencePath:
         middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
         slopes = np.abs([before, middle, after]).max(axis=0)  # the slope in between is in their hull
         bound = SPEED_SHARE * self.timed.bounds.bound
-        full = np.maximum((slopes / bound).max(axis=1), ROW_TOLERANCE)  # cycles per row at full speed
+        full = np.maximum((slopes / bound).max(axis=1), PERFORM.row_tolerance)  # cycles per row at full speed
         begin = 0
         places = self.timed.places
         for waypoint in self.reference.waypoints:
@@ -157,8 +165,8 @@ class ReferencePath:
         """
         offsets = self.path.offsets
         module = self.path.arm.length / self.path.arm.n_modules
-        moving = np.flatnonzero(np.any(np.abs(np.diff(offsets, axis=0)) > HELD_ROUNDING, axis=1))
-        for _ in range(MAX_SLOWDOWNS if cycles > 1 else 0):
+        moving = np.flatnonzero(np.any(np.abs(np.diff(offsets, axis=0)) > PERFORM.held_rounding, axis=1))
+        for _ in range(PERFORM.max_slowdowns if cycles > 1 else 0):
             places = np.pad(self.timed.places, (cycles - 1, cycles), mode="edge")
             slower = False
             passed = np.cumsum(np.append(0.0, places))
@@ -172,9 +180,10 @@ class ReferencePath:
                 share = (middle - means[after - 1]) / (means[after] - means[after - 1])
                 averaged = places[after - 1 : after + cycles]
                 averaged = (1.0 - share) * averaged[:-1] + share * averaged[1:]
-                excess = self._distance(averaged, middle) / (MARK_SHARE * MAX_MEAN_LAG * module)
+                allowed = PERFORM.waypoint_share * PERFORM.max_mean_lag * module
+                excess = self._distance(averaged, middle) / allowed
                 if excess > 1.0:
-                    ratio = SLOWDOWN_MARGIN * np.sqrt(excess)
+                    ratio = PERFORM.slowdown_margin * np.sqrt(excess)
                     slower = True
                     first, last = middle + (averaged[[0, -1]] - middle) / ratio
                     piece = slice(int(first), ceil(last))
@@ -207,7 +216,7 @@ class ReferencePath:
 
     def cycles(self, place: float, row: int) -> int:
         """Return the planned number of cycles from a place to a row."""
-        return ceil((float(self.times[row]) - float(self.time(place))) / self._dt - ROW_TOLERANCE)
+        return ceil((float(self.times[row]) - float(self.time(place))) / self._dt - PERFORM.row_tolerance)
 
     def next(self, place: float, speed: float) -> float:
         """Return the place after the next cycle; the previous one advanced by `speed`."""
@@ -295,7 +304,7 @@ def perform(
         if q0 is not None:
             require_held(arm, start, limits, "q0")
         require_held_postures(reference, limits)
-    require_passage(reference, scene, MAX_MEAN_LAG * arm.length / arm.n_modules)
+    require_passage(reference, scene, PERFORM.max_mean_lag * arm.length / arm.n_modules)
     guide = ReferencePath(reference, limits)
     loop = RecordedLoop(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, loop, tolerance, progress, scene)
@@ -361,8 +370,8 @@ class _Performance:
         self.loop = loop
         self.tolerance = tolerance
         self.progress = progress
-        self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
-        self._max_lag = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
+        self._max_steps = PERFORM.step_budget_extra + int(PERFORM.step_budget_ratio * guide.steps)
+        self._max_lag = PERFORM.max_mean_lag * loop.arm.length / loop.arm.n_modules
         self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
         self._set_place(0.0)
         self._places = [0.0]
@@ -437,14 +446,14 @@ class _Performance:
         moved = waypoint.target.moved
         planned = float(self.guide.times[waypoint.row])
         off = off_curve(waypoint)
-        there = np.flatnonzero(places[begun:] >= waypoint.row - ROW_TOLERANCE)
+        there = np.flatnonzero(places[begun:] >= waypoint.row - PERFORM.row_tolerance)
         if begun is None or not len(there):
             never = WaypointResult(waypoint.name, planned, None, None, None, off)
             return never._replace(moved=moved, speed=waypoint.speed)
         row = begun + int(there[0])
         if row > begun and waypoint.row - places[row - 1] < places[row] - waypoint.row:
             row -= 1
-        end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - ROW_TOLERANCE)))
+        end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - PERFORM.row_tolerance)))
         chosen = waypoint.target.has_target
         first = max(row - 1, 0)
         points = run.points[first : end + 1]
@@ -497,7 +506,7 @@ class _Performance:
         record = loop.record
         begun = record.steps
         record.set_target(target)
-        most = begun + STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * self._cycles_to(target))
+        most = begun + PERFORM.step_budget_extra + int(PERFORM.step_budget_ratio * self._cycles_to(target))
         ended = loop.run(target, self.tolerance, most, lambda *_: self._report())
         loop.brake_to_rest()
         while ended[0] == "converged" and record.steps < due:
@@ -611,7 +620,8 @@ class _Performance:
         target = self.guide.target(place)
         points = self.loop.ahead.moved(step.dq).chain_state.points
         apart = target.mean_distance(points)
-        return bool(apart > self._max_lag * (1.0 - MARK_SHARE if self.loop.filter.active else 1.0))
+        share = 1.0 - PERFORM.waypoint_share if self.loop.filter.active else 1.0
+        return bool(apart > self._max_lag * share)
 
     def _catch_up(self) -> tuple[str, str] | None:
         """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""

@@ -63,7 +63,7 @@ from pinposture.task.keyframe import (
     usual_placement,
     with_fitting_joints,
 )
-from pinposture.task.keyframes import PEAK_SPEED_RATIO, ROW_STEP, Progress, keyframe_reference
+from pinposture.task.keyframes import ROWS, TRANSITION, Progress, keyframe_reference
 from pinposture.task.passage import require_wide_pipe
 from pinposture.task.reference import Reference, Waypoint, smooth_step
 from pinposture.task.wrap import (
@@ -79,15 +79,23 @@ from pinposture.task.wrap import (
 Array = NDArray[np.float64]
 
 
-MIN_CYCLES = 20
-"""Fewest control cycles of a motion along a planned path."""
+class TipMotionSettings(NamedTuple):
+    """How the tip is led to its goal."""
 
-DRAG_SHARE = 0.25
-MIN_DRAG_STEPS = 8
-"""Distance between goals on the straight line to a goal of the tip, in modules, and their smallest number."""
+    min_cycles: int = 20
+    """Fewest control cycles of a motion along a planned path."""
 
-DRAG_MARGIN = 1.1
-"""Clearance sought at these goals, in margins, so that the smooth motion between them keeps the margin."""
+    drag_share: float = 0.25
+    min_drag_steps: int = 8
+    """Distance between goals on the straight line to a goal of the tip, in modules, and their smallest
+    number."""
+
+    drag_margin: float = 1.1
+    """Clearance sought at these goals, in margins, so that the smooth motion between them keeps the
+    margin."""
+
+
+TIP_MOTION = TipMotionSettings()
 
 
 def _read_direction(value: Any, _: ValidationInfo) -> tuple[float, ...]:
@@ -576,13 +584,15 @@ class _Planner:
         """Return the path on which the tip moves straight to its goal; None if it is not clear."""
         arm = self._arm
         start = self._begin()
-        scene = None if self._scene is None else replace(self._scene, margin=DRAG_MARGIN * self._scene.margin)
+        scene = self._scene
+        if scene is not None:
+            scene = replace(scene, margin=TIP_MOTION.drag_margin * scene.margin)
         state = arm.at(start)
         now = pin.SE3(state.rotations[-1], state.points[-1])
         link = now.rotation @ link_axes(arm).links[-1]
         there = np.array(goal.position)
-        spacing = DRAG_SHARE * arm.length / arm.n_modules
-        steps = max(ceil(float(np.linalg.norm(there - now.translation)) / spacing), MIN_DRAG_STEPS)
+        spacing = TIP_MOTION.drag_share * arm.length / arm.n_modules
+        steps = max(ceil(float(np.linalg.norm(there - now.translation)) / spacing), TIP_MOTION.min_drag_steps)
         q = start
         offsets = [np.zeros(arm.nv)]
         for share in np.arange(1, steps + 1) / steps:
@@ -604,7 +614,7 @@ class _Planner:
         rows = np.array(offsets)
         if scene is not None:
             clear = CollisionModel(arm, scene).minimum_on_motions(start, rows).distance
-            if clear < scene.margin / DRAG_MARGIN:
+            if clear < scene.margin / TIP_MOTION.drag_margin:
                 return None
         return JointPath(Objective(arm, Target.from_configuration(arm, q)), start, rows)
 
@@ -716,9 +726,15 @@ class _Planner:
         if duration is None:
             moved = np.abs(np.diff(path.offsets, axis=0)).sum(axis=0)
             bound = self._limits.for_arm(arm).bound
-            cycles = PEAK_SPEED_RATIO * float((moved / np.where(np.isfinite(bound), bound, ROW_STEP)).max())
-            duration = self._dt * max(cycles, MIN_CYCLES)
-        rows = max(ceil(duration / self._dt), MIN_CYCLES, ceil(PEAK_SPEED_RATIO * travel[-1] / ROW_STEP))
+            cycles = ROWS.peak_speed_ratio * float(
+                (moved / np.where(np.isfinite(bound), bound, TRANSITION.row_step)).max()
+            )
+            duration = self._dt * max(cycles, TIP_MOTION.min_cycles)
+        rows = max(
+            ceil(duration / self._dt),
+            TIP_MOTION.min_cycles,
+            ceil(ROWS.peak_speed_ratio * travel[-1] / TRANSITION.row_step),
+        )
         share = smooth_step(np.linspace(0.0, 1.0, rows + 1))
         places = np.interp(share * travel[-1], travel, np.arange(len(travel), dtype=np.float64))
         offsets = np.array([path.smooth_offset(float(place)) for place in places])

@@ -78,7 +78,7 @@ from pinposture.task.keyframe import (
 )
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.passage import require_passage
-from pinposture.task.perform import MAX_MEAN_LAG, perform
+from pinposture.task.perform import PERFORM, perform
 from pinposture.task.phases import (
     Phase,
     check_phases,
@@ -336,7 +336,7 @@ class Task:
         """
         scene = self.surroundings(reference)
         with self._naming():
-            require_passage(reference, scene, MAX_MEAN_LAG * self.arm.length / self.arm.n_modules)
+            require_passage(reference, scene, PERFORM.max_mean_lag * self.arm.length / self.arm.n_modules)
         return posture_feasibility(reference, scene, self.limits)
 
     @cached_property

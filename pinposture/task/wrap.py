@@ -55,37 +55,45 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-PITCH = 3.0
-"""Advance of a turn in radii of the arm: where it squeezes, turns are still half a radius apart."""
 
-TOUCHES = 2e-4
-GAP_CORRECTIONS = 5
-"""Distance from the object, or overlap with it, at which the wrapped arm counts as touching, in arm lengths,
-and the largest number of gaps that are tried. Three arms needed one to three gaps around cylinders and
-capsules, up to four around boxes, where 0.12 mm remained with an arm of 1 m."""
+class WindingSettings(NamedTuple):
+    """How an arm is wound around an object, holds it, and carries it."""
 
-WITHIN = 2e-3
-"""Distance of bodies that count as in contact in the assessment of a hold, in arm lengths."""
+    pitch: float = 3.0
+    """Advance of a turn in radii of the arm: where it squeezes, turns are still half a radius apart."""
 
-REACHED = 1e-5
-"""Distance of a frame from its goal that counts as reached, in arm lengths."""
+    touches: float = 2e-4
+    gap_corrections: int = 5
+    """Distance from the object, or overlap with it, at which the wrapped arm counts as touching, in arm
+    lengths, and the largest number of gaps that are tried. Three arms needed one to three gaps around
+    cylinders and capsules, up to four around boxes, where 0.12 mm remained with an arm of 1 m."""
 
-STEPS_PER_MODULE = 2
-"""Postures for each module that is wound, one after the other."""
+    within: float = 2e-3
+    """Distance of bodies that count as in contact in the assessment of a hold, in arm lengths."""
 
-SEED_BENDS = 0.3, -0.3
-"""Bends of the free modules in postures that the search for the first frame starts from, one period of a
-cosine, in `Arm.joint_units`. With a third or twice of these it ended in the same posture, to 1e-3 rad."""
+    reached: float = 1e-5
+    """Distance of a frame from its goal that counts as reached, in arm lengths."""
 
-CARRY_STEP = 0.01
-LARGEST_TURN = 0.3
-"""Displacement between postures while an object is carried, in arm lengths, and the joint motion between two
-of them that counts as a jump to another posture [rad]."""
+    steps_per_module: int = 2
+    """Postures for each module that is wound, one after the other."""
+
+    seed_bends: tuple[float, ...] = 0.3, -0.3
+    """Bends of the free modules in postures that the search for the first frame starts from, one period of
+    a cosine, in `Arm.joint_units`. With a third or twice of these it ended in the same posture, to 1e-3
+    rad."""
+
+    carry_step: float = 0.01
+    largest_turn: float = 0.3
+    """Displacement between postures while an object is carried, in arm lengths, and the joint motion
+    between two of them that counts as a jump to another posture [rad]."""
+
+    least_squeeze: float = 0.01
+    less_squeeze: float = 0.95
+    """Smallest share of a squeeze that is commanded where the arm would touch itself, and the steps to
+    it."""
 
 
-LEAST_SQUEEZE = 0.01
-LESS_SQUEEZE = 0.95
-"""Smallest share of a squeeze that is commanded where the arm would touch itself, and the steps to it."""
+WINDING = WindingSettings()
 
 
 def _as_share(name: str, value: Any) -> float:
@@ -176,7 +184,7 @@ class Grip:
         Raises:
             WeightUnknown: masses of the arm that are not known.
         """
-        within = WITHIN * self.arm.length
+        within = WINDING.within * self.arm.length
         return assess_hold(self.arm, self.touching, self.scene, self.obstacle, self.friction, within)
 
     def summary(self) -> dict[str, Any]:
@@ -318,7 +326,8 @@ def find_grip(
         held = _squeezed(arm, scene, obstacle, touching, further)
     else:
         held = _within_limits(arm, arm.integrate(touching, further))
-    if wrapping.force is not None and np.abs(arm.difference(held, touching) + further).max() > REACHED:
+    beyond = np.abs(arm.difference(held, touching) + further).max()
+    if wrapping.force is not None and beyond > WINDING.reached:
         reason = (
             f"the commands that press with {wrapping.force:g} N reach a limit, or the margin to something"
         )
@@ -355,7 +364,7 @@ def _pressed(arm: Arm, touching: Array, scene: Scene, wrapping: Wrapping) -> Arr
         scene,
         wrapping.obstacle,
         friction=wrapping.friction,
-        within=WITHIN * arm.length,
+        within=WINDING.within * arm.length,
         force=force,
     )
     if share > 1.0:
@@ -380,11 +389,11 @@ def _squeezed(arm: Arm, scene: Scene, obstacle: str, touching: Array, further: A
     others = {name: each for name, each in scene.obstacles.items() if name != obstacle}
     model = CollisionModel(arm, scene.with_obstacles(others))
     share = 1.0
-    while share > LEAST_SQUEEZE:
+    while share > WINDING.least_squeeze:
         held = _within_limits(arm, arm.integrate(touching, share * further))
         if model.minimum_between(touching, arm.difference(touching, held)).distance >= scene.margin:
             return held
-        share *= LESS_SQUEEZE
+        share *= WINDING.less_squeeze
     return touching
 
 
@@ -428,7 +437,7 @@ def carry(grip: Grip, displacement: pin.SE3 | ArrayLike, *, onto: Sequence[str] 
     for share, moved in _displacements(motion, middle, arm.length):
         state, error = bring_to_goal(arm, EndEffector(pose=moved * frame, point=grip.first), state)
         step = arm.difference(rows[-1], state.q)
-        if error > REACHED * arm.length or np.abs(step).max() > LARGEST_TURN:
+        if error > WINDING.reached * arm.length or np.abs(step).max() > WINDING.largest_turn:
             why = "the free modules do not get farther"
         else:
             why = way.go_on(arm.integrate(rows[-1], loose), step)
@@ -475,7 +484,7 @@ class _CarriedWay:
                 if near not in self._put_down:
                     return _too_close(near)
         near_now = self._near(self._arm.integrate(q, step))
-        rounding = TOUCHES * self._arm.length
+        rounding = WINDING.touches * self._arm.length
         for number, distance in near_now.items():
             pair = model.pairs[number]
             if pair in self._put_down and distance < -rounding:
@@ -507,7 +516,7 @@ def _opened_elsewhere(grip: Grip, touching: Array, motion: pin.SE3) -> tuple[Arr
     state = arm.chain_at(arm.integrate(touching, -grip.winding[-1]))
     goal = EndEffector(pose=motion * frame, point=grip.first)
     state, error = bring_to_goal(arm, goal, state)
-    if error > REACHED * arm.length:
+    if error > WINDING.reached * arm.length:
         raise TaskError(f"carry {grip.obstacle!r}", "where it ends, the free modules cannot back off")
     winding = np.where(_holds(arm, grip.first), grip.winding, arm.difference(state.q, touching))
     winding[0] = 0.0
@@ -592,7 +601,7 @@ def _displacements(motion: pin.SE3, middle: Array, size: float) -> Iterator[tupl
     turn = pin.log3(motion.rotation)
     way = motion.act(middle) - middle
     far = float(np.linalg.norm(way)) / size + float(np.linalg.norm(turn))
-    count = max(2, int(np.ceil(far / CARRY_STEP)))
+    count = max(2, int(np.ceil(far / WINDING.carry_step)))
     for share in np.arange(1, count + 1) / count:
         rotation = pin.exp3(share * turn)
         yield float(share), pin.SE3(rotation, middle + share * way - rotation @ middle)
@@ -659,13 +668,13 @@ class _Wrap:
     def _find_from(self, seed: Array, gap: float) -> _Found:
         """Find a wrap from a posture, (nq,), with a gap to begin with [m]."""
         arm = self.arm
-        for _ in range(GAP_CORRECTIONS):
+        for _ in range(WINDING.gap_corrections):
             winding = self._winding(gap)
             first = self._last_free(winding)
             opened = self._opened(winding, first, seed)
             way = self._wind(winding, first, opened)
             overlap = -self._distance(arm.integrate(opened, way[-1]))
-            if abs(overlap) <= TOUCHES * arm.length:
+            if abs(overlap) <= WINDING.touches * arm.length:
                 off = self._standing_off(winding, first, opened)
                 whole = np.vstack([np.zeros(arm.nv), arm.difference(off, opened) + way])
                 return _Found(first, off, self._clear(off, whole))
@@ -677,7 +686,8 @@ class _Wrap:
         """Return the curve around the object at a distance [m]."""
         shape = self.scene.obstacles[self.obstacle]
         base = self.arm.chain.base
-        return winding_around(shape, base, gap, self.turns, pitch=PITCH * gap, heading=arm_axis(self.arm))
+        pitch = WINDING.pitch * gap
+        return winding_around(shape, base, gap, self.turns, pitch=pitch, heading=arm_axis(self.arm))
 
     def _last_free(self, winding: Winding) -> int:
         """Return the index of the last control point that is not wrapped."""
@@ -705,7 +715,7 @@ class _Wrap:
         frame = pin.SE3(upright @ along, winding.points[0])
         state = arm.chain_at(self._straightened(seed, first))
         state, error = bring_to_goal(arm, EndEffector(pose=frame, point=first), state)
-        if error > REACHED * arm.length:
+        if error > WINDING.reached * arm.length:
             away = length_text(float(np.linalg.norm(winding.points[0] - arm.chain.base)))
             reason = f"it begins {away} from the base, and the {first + 1} free modules do not get there"
             reason += "; ask for fewer turns, or move the object"
@@ -726,14 +736,14 @@ class _Wrap:
         """Return the posture beside a tangent, (nq,), in which the arm keeps the margin to the object."""
         arm = self.arm
         side = np.cross(winding.heading, winding.body.axis)
-        side *= (self.scene.margin + 2.0 * TOUCHES * arm.length) / np.linalg.norm(side)
+        side *= (self.scene.margin + 2.0 * WINDING.touches * arm.length) / np.linalg.norm(side)
         sides = winding.points[0] + np.stack([side, -side])
         nearer = int(winding.body.distances(sides).argmin())
         state = arm.chain_at(opened)
         frame = _frame(state, first)
         frame.translation = frame.translation + (-side if nearer == 0 else side)
         state, error = bring_to_goal(arm, EndEffector(pose=frame, point=first), state)
-        if error > REACHED * arm.length:
+        if error > WINDING.reached * arm.length:
             raise TaskError(self.where, "the free modules cannot stand off from where it begins")
         q = self._straightened(state.q, first)
         self._require_clear(CollisionModel(arm, _untouchable(self.scene, self.obstacle)), q)
@@ -752,7 +762,7 @@ class _Wrap:
         yield start
         ends = np.append(arm.module_starts[1:], len(arm.columns))
         shares = np.cos(2.0 * np.pi * (np.arange(first + 1) + 0.5) / (first + 1))
-        for bend in SEED_BENDS:
+        for bend in WINDING.seed_bends:
             for axis in range(int((ends - arm.module_starts).max())):
                 offset = np.zeros(arm.nv)
                 for module in range(first + 1):
@@ -773,7 +783,7 @@ class _Wrap:
         kept = line[: last + 1][np.append(True, apart)]
         near = Target.from_configuration(arm, opened)
         wrapped = float(arm.chain.module_lengths[first + 1 :].sum())
-        steps = STEPS_PER_MODULE * (arm.n_modules - first - 1)
+        steps = WINDING.steps_per_module * (arm.n_modules - first - 1)
         rows = [opened]
         for share in np.arange(1, steps + 1) / steps:
             wound = _continued(winding, share, wrapped)
@@ -791,7 +801,7 @@ class _Wrap:
 
     def _count_touching(self, q: Array) -> int:
         """Return the number of bodies that touch the object."""
-        within = WITHIN * self.arm.length
+        within = WINDING.within * self.arm.length
         return int(np.sum(self._distances(q, within) <= within))
 
     def _distances(self, q: Array, within: float) -> Array:

@@ -150,7 +150,7 @@ def test_rows_between_those_placed_by_least_squares_are_as_if_they_were(
     first, second = gentle(arm.length)[:2]
     keyframes = [first, replace(second, duration=60.0)]
     some = keyframe_reference(arm, keyframes, 0.05)
-    monkeypatch.setattr(planning, "MOST_SOLVED", 10_000)
+    monkeypatch.setattr(planning, "TRANSITION", planning.TRANSITION._replace(most_solved=10_000))
     each = keyframe_reference(arm, keyframes, 0.05)
     assert some.rows == each.rows == 1201
     assert np.abs(positions(some) - positions(each)).max() < 1e-5
