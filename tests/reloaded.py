@@ -1,6 +1,7 @@
 """Files of every kind for `test_storage.py`, and what they say when another process reads them.
 
-python tests/reloaded.py FOLDER             # reads each file there, and writes what it says beside it
+python tests/reloaded.py                    # reads each file of the folders that stdin names, a line each,
+                                            # writes what it says beside it, and repeats the name
 """
 
 from __future__ import annotations
@@ -139,10 +140,13 @@ def _kinematics(arm: pp.Arm, q: np.ndarray) -> dict[str, np.ndarray]:
 
 def main() -> None:
     warnings.simplefilter("ignore", PostureWarning)
-    for path in sorted(Path(sys.argv[1]).iterdir()):
-        if path.suffix == ".urdf":  # of the task beside it
-            continue
-        np.savez(path.with_name(f"{path.name}.told"), **say(read(path)))
+    for line in sys.stdin:
+        for path in sorted(Path(line.strip()).iterdir()):
+            if path.suffix == ".urdf":  # of the task beside it
+                continue
+            np.savez(path.with_name(f"{path.name}.told"), **say(read(path)))
+        sys.stdout.write(line)
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -116,9 +116,9 @@ def printed(study: str, *options: str) -> Any:
 @pytest.mark.studies
 def test_every_problem_with_many_joints_is_solved_and_drawn(tmp_path: Path) -> None:
     plot = tmp_path / "joints.png"
-    rows = printed("obstacle_joints", "--joints", "20,40", "--draws", "2", "-o", str(plot))
+    rows = printed("obstacle_joints", "--joints", "20,40", "--draws", "1", "-o", str(plot))
     assert [(row["joints"], row["boxes"]) for row in rows] == [(20, 30), (40, 30), (20, 150), (40, 150)]
-    assert all(row["found"] == row["of"] == 2 for row in rows)
+    assert all(row["found"] == row["of"] == 1 for row in rows)
     assert all(0.0 < row["cycle_ms"] <= row["cycle_p99_ms"] for row in rows)
     assert min(Image.open(plot).size) > 200
 
@@ -176,9 +176,8 @@ def test_goals_swing_and_measurements_are_noisy_as_asked(
 
 
 @pytest.mark.studies
-@pytest.mark.parametrize("options", [(), ("--swing", "0.15", "--noise", "0.002")])
-def test_the_margin_to_a_moving_ball_is_kept(options: tuple[str, ...]) -> None:
-    found = printed("moving_obstacles", "--draws", "1", *options)
+def test_the_margin_to_a_moving_ball_is_kept() -> None:
+    found = printed("moving_obstacles", "--draws", "1", "--swing", "0.15", "--noise", "0.002")
     assert (found["draws"], found["margin_kept"], found["arrived"]) == (1, 1, 1)
     assert found["smallest_distance"] > 0.0048
     assert 0.5 < found["largest_acceleration"] <= 1.0 + 1e-9

@@ -119,7 +119,7 @@ def test_an_address_that_is_not_to_be_had_is_told_at_once(command, options, word
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP])  # SIGINT: `edited`, below
 def test_it_serves_a_page_until_it_is_ended_and_leaves_nothing_behind(end, tmp_path):
     pytest.importorskip("viser", reason="viser is not installed")
     command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", "--port", str(free_port())]
@@ -193,7 +193,8 @@ def edited(folder, *options):
         yield process, url, notes
     finally:
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=30)
+        out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err.strip()) == (0, "", "")
 
 
 def test_a_new_task_is_in_the_folder_that_is_given(tmp_path):

@@ -228,8 +228,7 @@ def tip_of(arm: pp.Arm, q: np.ndarray) -> pin.SE3:
     [
         (False, 0.0, None, 1100, 2e-5),
         (False, 3e-4, pp.Scene(), 700, 1e-3),
-        pytest.param(True, 0.0, pp.Scene(), 1100, 2e-5, marks=pytest.mark.soak),
-        pytest.param(True, 3e-4, pp.Scene(), 1100, 1e-3, marks=pytest.mark.soak),
+        pytest.param(True, 3e-4, pp.Scene(), 950, 1e-3, marks=pytest.mark.soak),  # without noise: below
     ],
 )
 def test_the_measured_tip_takes_its_task_in_spite_of_sag_that_changes(

@@ -194,14 +194,17 @@ def test_stiffness_and_payload_by_weight() -> None:
 def test_intervals_cover_the_truth_in_ninety_of_a_hundred_draws() -> None:
     arm = template_arm("RyRz", 2)
     counts: dict[str, list[bool]] = {}
-    for seed in range(30):
+    for seed in range(15):
         truth = draw(arm, np.random.default_rng(seed), Conditions())
         result = identify(arm, truth.log)
         for name, covers in covered(result.drives, result.payload, truth).items():
             if covers is not None:
                 counts.setdefault(name, []).append(covers)
-    for name in ("lag", "delay", "friction", "stiffness"):
-        assert np.mean(counts[name]) >= 0.85, name  # 90 of 100, and chance with thirty draws
+    of_four = [counts[name] for name in ("lag", "delay", "friction", "stiffness")]
+    assert (
+        np.mean(np.concatenate(of_four)) >= 0.85
+    )  # 90 of 100, and chance with sixty; half as wide, they cover 59
+    assert min(map(np.mean, of_four)) >= 0.75
 
 
 # What is not identified.

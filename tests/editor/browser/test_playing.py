@@ -29,8 +29,11 @@ def short(file: Path) -> pp.Task:
     return task.edited(motion=keyframes_of(task)[:2])
 
 
-def test_a_motion_is_played_and_scrubbed_and_an_edit_ends_it(edit: Edit, look: Look, file: Path) -> None:
-    editor = edit(short(file), file)
+def test_a_motion_is_played_scrubbed_and_taken_away_and_an_edit_ends_it(
+    edit: Edit, look: Look, file: Path, tmp_path: Path
+) -> None:
+    task = short(file)
+    editor = edit(task, file)
     window = look(editor)
     session = editor.session
     arrived(editor)
@@ -62,19 +65,7 @@ def test_a_motion_is_played_and_scrubbed_and_an_edit_ends_it(edit: Edit, look: L
     assert np.abs(playback.q - motion.q[row]).max() < 0.1  # as it is in the motion
     window.picture("10-motion")
 
-    # Whoever edits sees the arm of the moment.
-    window.aside()
-    window.key("n")
-    window.key("Shift+ArrowUp")
-    wait_until(lambda: session.history.undoable == "moved point 2", "a point is moved")
-    wait_until(lambda: not playback.shown, "the motion is shown no more")
-    wait_until(lambda: "Playing" not in window.status, "the page says so")
-
-
-def test_a_motion_is_taken_away_as_a_file(edit: Edit, look: Look, file: Path, tmp_path: Path) -> None:
-    task = short(file)
-    editor = edit(task, file)
-    window = look(editor)
+    # It is taken away as a file.
     window.tab("File")
     with window.page.expect_download() as coming:
         window.press("CSV")
@@ -84,7 +75,15 @@ def test_a_motion_is_taken_away_as_a_file(edit: Edit, look: Look, file: Path, tm
     window.says("walk.csv: joint positions, speeds and accelerations")
     window.picture("11-exported")
     loaded = pp.load(got, pp.JointTrajectory)
-    motion = wait_until(lambda: editor.session.playback.preview.of(task), "it is kept").motion
+    motion = wait_until(lambda: session.playback.preview.of(task), "it is kept").motion
     assert loaded.joint_names == motion.joint_trajectory().joint_names
     assert np.allclose(loaded.positions, motion.joint_trajectory().positions, atol=1e-9)
     assert loaded.time[-1] >= times_of(task)[-1]
+
+    # Whoever edits sees the arm of the moment.
+    window.aside()
+    window.key("n")
+    window.key("Shift+ArrowUp")
+    wait_until(lambda: session.history.undoable == "moved point 2", "a point is moved")
+    wait_until(lambda: not playback.shown, "the motion is shown no more")
+    wait_until(lambda: "Playing" not in window.status, "the page says so")

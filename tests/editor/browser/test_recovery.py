@@ -28,26 +28,35 @@ def moved(task: pp.Task) -> np.ndarray:
     return Shape.of(task.arm, keyframes_of(task)[0]).points[1]
 
 
-def test_what_a_killed_server_leaves_is_taken_up_again(
+def test_a_page_says_that_its_server_was_killed_and_what_is_left_is_taken_up_again(
     browser: Any, file: Path, pictures: Path | None
 ) -> None:
     content = file.read_text()
     task = pp.Task.load(file)
-    with served(file) as (server, url):
-        window = Window(browser, url, viewpoint(task), None)
-        window.key("n")
-        wait_until(lambda: window.field("Control point").input_value() == "2", "a key selects a point")
-        window.key("Shift+ArrowUp")
-        window.says("moved point 2")
+    port = free_port()
+    with served(file, port) as (server, url):
+        old = Window(browser, url, viewpoint(task), None)
+        old.key("n")
+        wait_until(lambda: old.field("Control point").input_value() == "2", "a key selects a point")
+        old.key("Shift+ArrowUp")
+        old.says("moved point 2")
         wait_until(lambda: autosave_path(file).exists(), "it is kept")
+        note = old.page.locator("#gone")
+        assert not note.is_visible()
+        assert old.page.title() == "pinposture"
         os.kill(server.pid, signal.SIGKILL)
         server.wait()
-        window.close()
+        note.wait_for(state="visible")
+        assert note.inner_text().startswith('"pinposture edit" has stopped')
+        seen = "getComputedStyle(document.querySelector('#root')).filter"
+        assert "grayscale" in old.page.evaluate(seen)
     assert file.read_text() == content  # not saved, and whole
     left = pp.Task.load(autosave_path(file))
     assert np.allclose(moved(left) - moved(task), [0.0, 0.0, 0.01 * task.arm.length], atol=1e-9)
 
-    with served(file) as (server, url):
+    with served(file, port) as (server, url):
+        wait_until(lambda: "has a new address" in note.inner_text(), "the old page says where to go")
+        old.close()
         window = Window(browser, url, viewpoint(task), pictures)
         window.says("recovered unsaved changes (from walk.autosave.toml)")
         window.tab("File")
@@ -58,22 +67,3 @@ def test_what_a_killed_server_leaves_is_taken_up_again(
         window.close()
     assert server.returncode == 0
     assert curves(pp.Task.load(file)) == curves(left)
-
-
-def test_a_page_whose_server_is_gone_says_so_and_greys_out(browser: Any, file: Path) -> None:
-    port = free_port()
-    task = pp.Task.load(file)
-    with served(file, port) as (server, url):
-        window = Window(browser, url, viewpoint(task), None)
-        note = window.page.locator("#gone")
-        assert not note.is_visible()
-        assert window.page.title() == "pinposture"
-        os.kill(server.pid, signal.SIGKILL)
-        server.wait()
-        note.wait_for(state="visible")
-        assert note.inner_text().startswith('"pinposture edit" has stopped')
-        seen = "getComputedStyle(document.querySelector('#root')).filter"
-        assert "grayscale" in window.page.evaluate(seen)
-    with served(file, port):
-        wait_until(lambda: "has a new address" in note.inner_text(), "the old page says where to go")
-        window.close()
