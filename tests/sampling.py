@@ -17,7 +17,7 @@ _slow = [HealthCheck.too_slow]
 _plain = settings(settings.get_profile("default"), deadline=None, suppress_health_check=_slow)
 settings.register_profile("quick", _plain, derandomize=True, database=None, max_examples=8)
 settings.register_profile("full", _plain, print_blob=True, max_examples=100)
-settings.register_profile("seeded", settings.get_profile("full"), database=None, max_examples=50)
+settings.register_profile("seeded", settings.get_profile("full"), database=None, max_examples=33)
 
 _full = False
 _seeded = False
@@ -28,7 +28,7 @@ def draw_fully(full: bool, repeatable: bool) -> None:
 
     The quick set draws the same cases in every run, so that its verdict is that of the change under test.
     The full set draws new ones each time; a failure prints what repeats it. With a seed, where a run has no
-    news for the next, it draws half as many.
+    news for the next, it draws a third as many.
     """
     global _full, _seeded  # noqa: PLW0603
     _full = full
@@ -44,12 +44,12 @@ def draw_fully(full: bool, repeatable: bool) -> None:
 def examples(count: int, **others: Any) -> settings:
     """Decorate a property test that draws `count` examples in the full set, a sixth in the quick one.
 
-    Half of them in the full set with a seed. At least three in any, and no more in the quick one than its
+    A third of them in the full set with a seed. At least three in any, and no more in the quick one than its
     profile says. `others` go to `hypothesis.settings`.
     """
     if _full and not _seeded:
         return settings(max_examples=count, **others)
-    drawn = min(count, max(3, count // (2 if _full else 6)))
+    drawn = min(count, max(3, count // (3 if _full else 6)))
     if not _full:
         drawn = min(drawn, settings.get_profile("quick").max_examples)
     return settings(max_examples=drawn, **others)

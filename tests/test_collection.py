@@ -25,7 +25,7 @@ def test_nothing_is_built_while_tests_are_collected(built_early: list[str]) -> N
 def test_the_quick_set_draws_a_few_cases_of_each(pytestconfig) -> None:
     full = pytestconfig.getoption("full") or pytestconfig.getoption("rest")
     seeded = pytestconfig.getoption("hypothesis_seed") is not None
-    every = [3, 20, 350] if seeded else [3, 40, 700]
+    every = [3, 13, 233] if seeded else [3, 40, 700]
     assert [examples(count).max_examples for count in (3, 40, 700)] == (every if full else [3, 6, 8])
     assert [len(seeds(count)) for count in (2, 40)] == ([2, 40] if full else [2, 3])
 
@@ -78,13 +78,14 @@ def test_the_quick_tests_and_the_rest_are_all_tests() -> None:
 
 @pytest.mark.process
 def test_a_seed_draws_the_same_cases_wherever_the_tests_run(monkeypatch) -> None:
-    options = ("--full", "--hypothesis-verbosity=verbose", "--capture=no", "tests/kernels/test_bounded.py")
+    one = "tests/kernels/test_bounded.py::test_the_minimum_is_the_best_of_all_choices_of_sides"
+    options = ("--full", "--hypothesis-verbosity=verbose", "--capture=no", one)
     drawn = {}
     for ci, seed in (("", 0), ("", 1), ("true", 1)):
         monkeypatch.setenv("CI", ci) if ci else monkeypatch.delenv("CI", raising=False)
         printed = output_of_pytest(*options, f"--hypothesis-seed={seed}")
         drawn[ci, seed] = re.findall(r"\bseed=\d+", printed)
-    assert drawn["", 0] != drawn["", 1] == drawn["true", 1] and len(drawn["", 1]) > 10
+    assert drawn["", 0] != drawn["", 1] == drawn["true", 1] and len(drawn["", 1]) >= 10
 
 
 def collected(folder: Path, *options: str) -> set[str]:

@@ -24,14 +24,17 @@ SCENARIOS = (
 @pytest.mark.parametrize(
     ("scenario", "jerk"), [*((name, None) for name in SCENARIOS), ("obstacles", 100.0), ("limits", 100.0)]
 )
-def test_a_loop_keeps_nothing_of_the_cycles_before(scenario: str, jerk: float | None) -> None:
+def test_a_loop_keeps_nothing_of_the_cycles_before(
+    scenario: str, jerk: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert set(SCENARIOS) == set(soak.SCENARIOS)
     given = argparse.Namespace(
         seed=0, modules=4, free=False, jerk=jerk, controller="geodesic", deadline=float("inf")
     )
     loop, change = soak.Loop(given, scenario), soak.SCENARIOS[scenario]
-    # Caches hold 16 values: those of scenes, which change every 50 cycles, are full after 800.
-    first = {"scenes": 850, "tip": 20}.get(scenario, 200)
+    # Scenes change every 50 cycles: caches of them are full after 150.
+    monkeypatch.setattr("pinposture.arm.arm.MAX_KEPT", 3)
+    first = {"tip": 20}.get(scenario, 200)
     count = {"tip": 20}.get(scenario, 60)
     objects, kilobytes = [], []
     cycles = itertools.count()
