@@ -73,7 +73,7 @@ def is_usable(value: object) -> bool:
 
 def require_positive(name: str, value: float, zero: bool = False) -> float:
     """Return a finite number > 0 (or >= 0), neither huge nor tiny, else raise InvalidValue."""
-    if not (is_usable(value) and (value >= SMALLEST_NUMBER or (zero and value == 0))):
+    if not (is_number(value) and (SMALLEST_NUMBER <= value <= LARGEST_NUMBER or (zero and value == 0))):
         allowed = f"a finite number {'>=' if zero else '>'} 0"
         extreme = is_number(value) and 0 < value < math.inf
         raise InvalidValue(

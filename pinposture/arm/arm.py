@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -108,6 +108,7 @@ from pinposture.storage import settled
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
+Kept = TypeVar("Kept")
 
 FARTHEST = 1e6
 """Distance from the base beyond which a coordinate is a mistake, in arm lengths."""
@@ -117,6 +118,8 @@ BEYOND = 1e-9
 """Excess over a position limit that counts as rounding error, in `Arm.joint_units`."""
 SAME_REST = 1e-6
 """Largest distance of two postures that are the same, in `Arm.joint_units`."""
+MAX_KEPT = 16
+"""Most values of a kind that an arm keeps in its cache, such as collision models: those made last."""
 
 
 class Arm(ConfigurationSpace):
@@ -661,10 +664,7 @@ class Arm(ConfigurationSpace):
             InvalidValue: as `checked`; or joints are so far outside that they may be in degrees.
         """
         checked = self.checked(q, name)
-        positions = self.difference(self.origin, checked)
-        low, high = self._plausible_positions
-        if np.less(positions, low).any() or np.greater(positions, high).any():
-            self.check_positions(positions, name)
+        check_range(self, checked, name)
         return checked
 
     @cached_property
@@ -746,9 +746,7 @@ class Arm(ConfigurationSpace):
         Raises:
             InvalidValue: q has the wrong size or is not finite.
         """
-        if self.frames is None:
-            return self.chain_at(q)
-        return PinocchioState(self, self.checked(q))
+        return state_at(self, self.checked(q))
 
     def chain_at(self, q: ArrayLike) -> ChainState:
         """Return the state of the arm at a configuration as solvers take it.
@@ -791,23 +789,8 @@ class Arm(ConfigurationSpace):
             InvalidValue: a configuration has the wrong size or is not finite.
         """
         checked = self.checked(q)
-        multi_turn = self.multi_turn
-        if not np.any(multi_turn):
-            return checked
-        positions = self.positions(checked)
-        turn = 2.0 * np.pi
-        preferred = self._stretched if near is None else self.positions(self.checked(near, "near"))
-        lower, upper = (self.limits.lower, self.limits.upper) if edges is None else np.asarray(edges)
-        away = (preferred - positions) / turn
-        turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - TURN_TOLERANCE)
-        least = np.ceil((lower - positions) / turn - TURN_TOLERANCE)
-        most = np.floor((upper - positions) / turn + TURN_TOLERANCE)
-        turns = np.where(multi_turn & (least <= most), np.maximum(np.minimum(turns, most), least), 0.0)
-        if not np.any(turns):
-            return checked
-        return self.integrate(
-            checked, np.where(turns == 0.0, 0.0, np.clip(positions + turn * turns, lower, upper) - positions)
-        )
+        preferred = None if near is None else self.checked(near, "near")
+        return nearest_turns(self, checked, preferred, None if edges is None else np.asarray(edges))
 
     def with_characteristic_length(self, characteristic_length: float) -> Arm:
         """Return the same arm with another sliding distance equivalent to one radian [m].
@@ -1642,6 +1625,61 @@ class ChainState(ArmState):
         if arm.dynamics.whole:
             return arm.dynamics, self.raw_positions
         return arm._frames_for_dynamics, self._q
+
+
+def kept(arm: Arm, kind: object, key: Hashable, make: Callable[[], Kept]) -> Kept:
+    """Return a value of a kind that an arm keeps by a key; it is made if it is not there.
+
+    Args:
+        arm: the arm, whose `cache` has the latest `MAX_KEPT` values of each kind.
+        kind: the key of the kind in the cache: the class of the values, or the function that makes them.
+        key: what the value was made from, besides the arm.
+        make: makes the value.
+    """
+    values: dict[Hashable, Kept] = arm.cache.setdefault(kind, {})
+    found = values.get(key)
+    if found is None:
+        found = values[key] = make()
+        for oldest in list(values)[:-MAX_KEPT]:
+            values.pop(oldest, None)  # another thread may have done so
+    return found
+
+
+# Of configurations that are known to be some of the arm: checked before, or computed from such.
+
+
+def state_at(arm: Arm, q: Array) -> ArmState:
+    """Return the state at a configuration, (nq,); see `Arm.at`, which checks it."""
+    return ChainState(arm, q) if arm.frames is None else PinocchioState(arm, q)
+
+
+def check_range(arm: Arm, q: Array, name: str) -> None:
+    """Check a configuration, (nq,), against the limits of the joints; see `Arm.checked_start`."""
+    positions = arm.difference(arm.origin, q)
+    low, high = arm._plausible_positions
+    if np.less(positions, low).any() or np.greater(positions, high).any():
+        arm.check_positions(positions, name)
+
+
+def nearest_turns(arm: Arm, q: Array, near: Array | None, edges: Array | None) -> Array:
+    """Return a configuration, (nq,), with joints shifted by full turns; see `Arm.nearest_turns`."""
+    multi_turn = arm.multi_turn
+    if not np.any(multi_turn):
+        return q
+    positions = arm.difference(arm.origin, q)
+    turn = 2.0 * np.pi
+    preferred = arm._stretched if near is None else arm.difference(arm.origin, near)
+    lower, upper = (arm.limits.lower, arm.limits.upper) if edges is None else edges
+    away = (preferred - positions) / turn
+    turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - TURN_TOLERANCE)
+    least = np.ceil((lower - positions) / turn - TURN_TOLERANCE)
+    most = np.floor((upper - positions) / turn + TURN_TOLERANCE)
+    turns = np.where(multi_turn & (least <= most), np.maximum(np.minimum(turns, most), least), 0.0)
+    if not np.any(turns):
+        return q
+    return arm.integrate(
+        q, np.where(turns == 0.0, 0.0, np.clip(positions + turn * turns, lower, upper) - positions)
+    )
 
 
 def arm_of(state: object) -> Arm:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import NamedTuple, TypeAlias
 
@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import SMALLEST_LENGTH, finite_vector, require_instance
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.arm import kept
 from pinposture.arm.configurations import ConfigurationSpace
-from pinposture.arm.recent import RecentValues, recent_values
 from pinposture.collision.bodies import STAND_IN_RADIUS, bodies_of, carried_bodies
 from pinposture.collision.distances import (
     MotionSearch,
@@ -34,10 +34,6 @@ from pinposture.units import length_text
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
 IndexPair: TypeAlias = tuple[int, int]
-_ModelKey: TypeAlias = tuple[Scene, frozenset[str]]
-
-MAX_MODELS = 16
-"""Maximum number of collision models cached per arm."""
 
 MAX_PREPARED = 500_000
 """Number of points of scans whose geometries are made in advance; 200,000 take 0.4 s and 110 MB."""
@@ -374,9 +370,7 @@ class _Choice(NamedTuple):
     @classmethod
     def known(cls, arm: Arm, scene: Scene) -> _Choice:
         """Return the choice for an arm and a scene, made on first use."""
-        choices: RecentValues[Scene, _Choice] = recent_values(arm, cls, MAX_MODELS)
-        choice = choices.get(scene)
-        return choices.keep(scene, cls.of(arm, scene)) if choice is None else choice
+        return kept(arm, cls, scene, partial(cls.of, arm, scene))
 
     @classmethod
     def of(cls, arm: Arm, scene: Scene) -> _Choice:
@@ -458,16 +452,16 @@ class CollisionModel:
                 return latest
         require_instance("arm", arm, Arm, "an Arm")
         require_instance("scene", scene, Scene, "a Scene")
-        models: RecentValues[tuple[Scene, frozenset[str]], CollisionModel] = recent_values(
-            arm, cls, MAX_MODELS
-        )
-        model = models.get((scene.first, scene.moving))
-        if model is None:
-            model = super().__new__(cls)
-            model._prepare(_Choice.known(arm, scene.first), scene.first, scene.moving)
-            models.keep((scene.first, scene.moving), model)
+        model = kept(arm, cls, (scene.first, scene.moving), partial(cls._made, arm, scene))
         arm.cache[cls._in_moment] = latest = model._in_moment(scene)
         return latest
+
+    @classmethod
+    def _made(cls, arm: Arm, scene: Scene) -> CollisionModel:
+        """Return the model of an arm and a scene before anything has moved."""
+        model = super().__new__(cls)
+        model._prepare(_Choice.known(arm, scene.first), scene.first, scene.moving)
+        return model
 
     @staticmethod
     def prepare(arm: Arm, scene: Scene) -> None:

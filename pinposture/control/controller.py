@@ -17,6 +17,7 @@ from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits
 from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.placement import Target
+from pinposture.placement.target import check_numbers
 
 Array = NDArray[np.float64]
 SomeMemory = TypeVar("SomeMemory", bound="Memory")
@@ -167,7 +168,7 @@ def require_step_arguments(state: ArmState, target: Target, memory: object = Non
     """Raise InvalidValue if an argument of a step has the wrong type, or the target does not fit the arm."""
     require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
     require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
-    target.check_numbers(state.arm)
+    check_numbers(target, state.arm)
     if memory is None:
         return
     if not isinstance(memory, Memory):

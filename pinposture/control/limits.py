@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
@@ -20,8 +20,7 @@ from pinposture._validation import (
     require_instance,
 )
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.arm import arm_of
-from pinposture.arm.recent import RecentValues, recent_values
+from pinposture.arm.arm import arm_of, kept
 from pinposture.errors import InvalidValue, warn_caller
 from pinposture.kernels.arrays import LimitArrays
 from pinposture.schema import (
@@ -637,13 +636,15 @@ class Limits(Declared):
 
     def for_arm(self, arm: Arm) -> JointBounds:
         """Return the bounds for the joints of an arm, cached with the arm."""
-        known: RecentValues[tuple[object, ...], JointBounds] | None = None
-        if isinstance(arm, Arm):
-            known = arm.cache.get(JointBounds)
-        bounds: JointBounds | None = None if known is None else known.get(self._key)
+        known: dict[object, JointBounds] | None = arm.cache.get(JointBounds) if isinstance(arm, Arm) else None
+        bounds = None if known is None else known.get(self._key)
         if bounds is not None:  # as in nearly every call, of which a step makes several
             return bounds
         require_instance("arm", arm, Arm, "an Arm")
+        return kept(arm, JointBounds, self._key, partial(self._bounds_of, arm))
+
+    def _bounds_of(self, arm: Arm) -> JointBounds:
+        """Return the bounds for the joints of an arm, made anew."""
         bounds = joint_bounds(
             arm,
             step=self.step,
@@ -655,8 +656,6 @@ class Limits(Declared):
         )
         if self.effort is not None:
             bounds = replace(bounds, effort=_effort_of(arm, self.effort))
-        known = recent_values(arm, JointBounds, _MAX_CACHED)
-        known.keep(self._key, bounds)
         if self.velocity is not None:
             _warn_of_speed(arm, self.velocity)
         return bounds
@@ -707,6 +706,7 @@ class JerkFilter:
         limits: the limits.
 
     Attributes:
+        bounds: the limits of the joints.
         cycles: number of steps that are averaged; 1 without a jerk limit, which leaves steps unchanged.
         active: whether steps are changed: there is a limit of jerk that the others do not keep anyway.
 
@@ -715,7 +715,7 @@ class JerkFilter:
     """
 
     def __init__(self, arm: Arm, limits: Limits) -> None:
-        bounds = limits.for_arm(arm)
+        bounds = self.bounds = limits.for_arm(arm)
         cycles = 1.0
         if bounds.brake is not None and bounds.jerk is not None:
             cycles = _filter_cycles(arm, bounds.brake, bounds.jerk)
@@ -783,7 +783,6 @@ IN_DEGREES = 10.0
 """Ratio of a speed to that of the description above which it may be in degrees."""
 
 _NO_BOUND = np.empty(0)
-_MAX_CACHED = 16  # limits cached per arm
 
 
 def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:

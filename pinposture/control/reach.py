@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from math import inf
 from time import perf_counter
 from typing import Any, Literal, NamedTuple
@@ -22,7 +22,6 @@ from pinposture._validation import (
 )
 from pinposture._validation import direction as unit_vector
 from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
-from pinposture.arm.recent import RecentValues
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
@@ -429,8 +428,7 @@ class _TipFit:
 
     def __init__(self, search: _Search, clearance: float | None) -> None:
         self._search = search
-        self._clearance = clearance
-        self._known: RecentValues[ChainState, _Rows] = RecentValues(2)
+        self._rows = lru_cache(maxsize=2)(partial(search.rows, clearance=clearance))
 
     def rate(self, state: ChainState) -> Rating:
         return Rating(0.0, 0.5 * self._rows(state).cost)
@@ -460,10 +458,6 @@ class _TipFit:
                 return None
             x = found.x
         return search.moved(state, x)
-
-    def _rows(self, state: ChainState) -> _Rows:
-        rows = self._known.get(state)
-        return self._known.keep(state, self._search.rows(state, self._clearance)) if rows is None else rows
 
 
 class _Search:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.arm import state_at
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, Step
 from pinposture.control.constraint import describe_violated, sides_of
@@ -256,7 +257,7 @@ class RecordedLoop(Loop):
 
     Args:
         arm: the arm.
-        q0: the initial configuration, (nq,).
+        q0: the initial configuration, (nq,), as `Arm.checked_start` returns it.
         target: the initial target.
         controller: the controller.
         limits: the limits of each step.
@@ -274,10 +275,10 @@ class RecordedLoop(Loop):
         limits: Limits,
         scene: Scene | None = None,
     ) -> None:
-        super().__init__(arm.at(q0), DirectStep(controller), limits, JerkFilter(arm, limits))
+        super().__init__(state_at(arm, q0), DirectStep(controller), limits, JerkFilter(arm, limits))
         self.last_step: Step | None = None
         self.record = RunRecord(target, self.state, scene)
-        self._bounds = limits.for_arm(arm)
+        self._bounds = self.filter.bounds
 
     def compute(self, target: Target) -> Step:
         """Return the next step towards a target, without taking it; as `Loop.compute`, but never late."""

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import require_function, require_instance, require_positive, require_whole
 from pinposture.arm import Arm
+from pinposture.arm.arm import check_range
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, controller_named
@@ -154,7 +155,7 @@ def track(
     require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     target.check_arm(arm)
     if target.q is not None:
-        arm.checked_start(target.q, "target.q")
+        check_range(arm, target.q, "target.q")
     require_function("callback", callback)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)

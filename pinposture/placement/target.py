@@ -175,34 +175,14 @@ class Target:
 
     def check(self, arm: Arm) -> None:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
-        self.check_numbers(arm)
+        require_instance("arm", arm, Arm, "an Arm")
+        check_numbers(self, arm)
         self.check_weights()
 
     def check_weights(self) -> None:
         """Raise InvalidValue unless there is a point to control."""
-        if not np.any(self.has_target):
+        if not np.any(self.weights > 0.0):
             raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
-
-    def check_numbers(self, arm: Arm) -> None:
-        """Raise InvalidValue unless the target fits an arm and is finite; once for each arm."""
-        require_instance("arm", arm, Arm, "an Arm")
-        checked = arm.cache.setdefault(Target.check_numbers, WeakSet())
-        if self in checked:
-            return
-        m = arm.n_modules
-        for name, values, shape in (("points", self.points, (m, 3)), ("q", self.q, (arm.nq,))):
-            if values is not None and values.shape != shape:
-                allowed = f"{shape} for this arm; {RESOLVE_AGAIN}"
-                raise InvalidValue(f"target.{name} (shape)", values.shape, allowed)
-        if self.weights.shape != (m,):
-            raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
-        require_finite("target.weights", self.weights)
-        arm.require_near("target.points", self.points)
-        if self.q is not None:
-            arm.checked(self.q, "target.q")
-        if self.velocity is not None:
-            finite_vector("target.velocity", self.velocity, arm.nv)
-        checked.add(self)
 
     def check_arm(self, arm: Arm) -> None:
         """Raise InvalidValue as `check`, or if the target was resolved on a curve for a different arm."""
@@ -279,8 +259,29 @@ class Target:
 def target_at(state: ArmState, weights: Array) -> Target:
     """Return the posture of an arm at a state as a target, with weights (m,), which needs no checks."""
     target = Target(state.points, weights, q=state.q)
-    state.arm.cache.setdefault(Target.check_numbers, WeakSet()).add(target)
+    state.arm.cache.setdefault(check_numbers, WeakSet()).add(target)
     return target
+
+
+def check_numbers(target: Target, arm: Arm) -> None:
+    """Raise InvalidValue unless a target fits an arm and is finite; once for each arm."""
+    checked = arm.cache.setdefault(check_numbers, WeakSet())
+    if target in checked:
+        return
+    m = arm.n_modules
+    for name, values, shape in (("points", target.points, (m, 3)), ("q", target.q, (arm.nq,))):
+        if values is not None and values.shape != shape:
+            allowed = f"{shape} for this arm; {RESOLVE_AGAIN}"
+            raise InvalidValue(f"target.{name} (shape)", values.shape, allowed)
+    if target.weights.shape != (m,):
+        raise InvalidValue("target.weights (shape)", target.weights.shape, f"({m},) for this arm")
+    require_finite("target.weights", target.weights)
+    arm.require_near("target.points", target.points)
+    if target.q is not None:
+        arm.checked(target.q, "target.q")
+    if target.velocity is not None:
+        finite_vector("target.velocity", target.velocity, arm.nv)
+    checked.add(target)
 
 
 def _warn_of_far_points(arm: Arm, points: Array) -> None:

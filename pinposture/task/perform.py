@@ -298,7 +298,7 @@ def perform(
     dt = cycle_of(limits)
     tolerance = ARRIVAL.distance * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
-    start = reference.start if q0 is None else arm.checked_start(q0, "q0")
+    start = arm.checked(reference.start, "reference.start") if q0 is None else arm.checked_start(q0, "q0")
     require_instance("strict", strict, bool, "True or False")
     if strict and limits.effort is not None:
         if q0 is not None:
@@ -364,7 +364,7 @@ class _Performance:
         progress: Progress | None,
         scene: Scene | None,
     ) -> None:
-        self._scene = scene
+        self._scene = scene if guide.reference.held else None
         self._stage = 0
         self.guide = guide
         self.loop = loop
@@ -554,9 +554,11 @@ class _Performance:
 
     def _enter_stage(self, place: float) -> None:
         """Go on in the scene of a place, if what the arm holds changes there."""
+        if self._scene is None:  # or it holds nothing
+            return
         stages = self.guide.reference.stages
         stage = stages.number(place)
-        if stage != self._stage and self._scene is not None:
+        if stage != self._stage:
             self._stage = stage
             self.loop.enter(stages.scene(stage, self._scene))
 

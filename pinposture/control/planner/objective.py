@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import sqrt
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm, ChainState
-from pinposture.arm.recent import RecentValues, recent_values
+from pinposture.arm.arm import kept
 from pinposture.control.constraint import Constraint, check_constraints
 from pinposture.control.controller import task_errors
 from pinposture.control.tasks import ControlTask, rows_of
@@ -33,9 +33,6 @@ MAX_JOINT_WEIGHT = 1e6
 GOAL_TOLERANCE = 1e-8
 """Mean distance of the control points from their targets at which a configuration takes the posture, in arm
 lengths; well below the default tolerance of runs, 1e-6."""
-
-MAX_LAYOUTS = 16
-"""Number of weightings cached per arm."""
 
 MAX_PULL = 1e-3
 """Largest share of the gradient of the squared violations that the objective may balance, if the rows are
@@ -101,14 +98,6 @@ class _Layout(NamedTuple):
     chain: ChainObjective  # without targets
 
 
-def _layout_of(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
-    """Return the layout, cached with the arm."""
-    known: RecentValues[tuple[float, bytes], _Layout] = recent_values(arm, _layout_of, MAX_LAYOUTS)
-    key = relative_position_weight, weights.tobytes()
-    layout = known.get(key)
-    return known.keep(key, _lay_out(arm, weights, relative_position_weight)) if layout is None else layout
-
-
 def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
     joints = np.flatnonzero(arm.limits.upper[arm.columns] > arm.limits.lower[arm.columns]).astype(np.int64)
     columns = arm.columns[joints].astype(np.int64)
@@ -160,7 +149,10 @@ class Objective:
 
     @cached_property
     def _layout(self) -> _Layout:
-        return _layout_of(self.arm, self.target.weights, self.relative_position_weight)
+        weights = self.target.weights
+        weight = self.relative_position_weight
+        key = weight, weights.tobytes()
+        return kept(self.arm, _Layout, key, partial(_lay_out, self.arm, weights, weight))
 
     @cached_property
     def columns(self) -> NDArray[np.int64]:

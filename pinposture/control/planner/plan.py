@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_function, require_instance, require_positive
 from pinposture.arm import ArmState, ChainState
+from pinposture.arm.arm import nearest_turns
 from pinposture.collision import Closest, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control.constraint import Constraint
@@ -720,7 +721,7 @@ def _known_goal(objective: Objective, edges: Array, before: Array) -> ChainState
     q = objective.target.q
     if q is None or len(objective.active) < arm.n_modules:
         return None
-    goal = ChainState(arm, arm.nearest_turns(q, before, edges))
+    goal = ChainState(arm, nearest_turns(arm, q, before, edges))
     inside = kernels.position_excess(goal.raw_positions, edges, arm.kinematics.columns) == 0.0
     return goal if inside and objective.has_exact_goal else None
 
