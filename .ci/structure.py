@@ -42,9 +42,9 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 229,  # 170
-    "definitions": 5057,
-    "constants": 973,
+    "files": 228,  # 170
+    "definitions": 5056,
+    "constants": 971,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
