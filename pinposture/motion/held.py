@@ -45,6 +45,22 @@ class HeldObject(Declared):
         return replace(self, begin=self.begin + rows, end=self.end + rows)
 
 
+def joined(held: Sequence[HeldObject]) -> tuple[HeldObject, ...]:
+    """Return holds of a motion with those as one in which a frame keeps an obstacle, beside whatever."""
+    found: list[HeldObject] = []
+    for each in held:
+        before = found[-1] if found else None
+        if before is not None and (before.obstacle, before.frame, before.end) == (
+            each.obstacle,
+            each.frame,
+            each.begin,
+        ):
+            found[-1] = replace(before, end=each.end)
+        else:
+            found.append(each)
+    return tuple(found)
+
+
 class HeldStage(NamedTuple):
     """A part of a motion in which the same is held.
 
@@ -80,6 +96,7 @@ class Stages:
     def __init__(
         self, arm: Arm, held: Sequence[HeldObject], configuration: Callable[[int], Array], rows: int
     ) -> None:
+        self._arm = arm
         stages = [HeldStage(0, {}, {})]
         for each in held:
             taken = frame_pose(arm, configuration(each.begin), each.frame)
@@ -92,6 +109,15 @@ class Stages:
         self._stages = stages
         self._rows = [each.row for each in stages]
         self._scenes: dict[tuple[int, Scene], Scene] = {}
+
+    def motion(self, row: int, q: Array) -> dict[str, pin.SE3]:
+        """Return displacements of obstacles since the start, by name, in a row, at a configuration (nq,)."""
+        stage = self._stages[self.number(row)]
+        found = dict(stage.moved)
+        for name, carried in stage.carried.items():
+            before = found.get(name, pin.SE3.Identity())
+            found[name] = frame_pose(self._arm, q, carried.frame) * carried.placement.inverse() * before
+        return found
 
     def number(self, row: float) -> int:
         """Return the number of the stage in which a row is, or a place between rows."""

@@ -15,7 +15,7 @@ from pinposture.sim.control_loop import (
 from pinposture.sim.drives import Drives
 from pinposture.sim.model import Gains, PlantModel, Servos, build_plant_model, mass_matrix
 from pinposture.sim.plant import Sensing, Sensors
-from pinposture.sim.simulation import Simulation
+from pinposture.sim.simulation import Simulation, Slip
 
 __all__ = [
     "AnyMotion",
@@ -33,6 +33,7 @@ __all__ = [
     "Servos",
     "SetPoints",
     "Simulation",
+    "Slip",
     "StreamingController",
     "TipCamera",
     "build_plant_model",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -13,6 +14,7 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Run, Tracker, Trajectory
+from pinposture.motion.held import HeldObject, joined
 from pinposture.placement import Target
 from pinposture.sim.contact import ContactModel
 from pinposture.sim.model import Servos, build_plant_model
@@ -164,17 +166,20 @@ def simulate(
         raise InvalidValue("gravity", gravity, "True with compensate; arm.with_gravity(...) sets another one")
     if tolerance is not None:
         require_positive("tolerance", tolerance)
-    if scene is None and isinstance(motion, Run | Trajectory):
-        scene = (motion.run if isinstance(motion, Trajectory) else motion).scene
+    run = motion.run if isinstance(motion, Trajectory) else motion
+    held: tuple[HeldObject, ...] = ()
+    if isinstance(run, Run):
+        scene = run.scene if scene is None else scene
+        held = joined(run.held)
     timed = _timed(arm, motion, dt)
     period = float(np.diff(timed.time).mean())
-    held = 1 + int(np.ceil(hold / period - 1e-9))
-    asked = np.pad(timed.positions, ((0, held), (0, 0)), mode="edge")
+    last = 1 + int(np.ceil(hold / period - 1e-9))
+    asked = np.pad(timed.positions, ((0, last), (0, 0)), mode="edge")
     sent = asked
     targets: list[Target | None] = [None] * len(asked)
     if compensate:
         commands = timed.compensated(arm).matched(arm).positions
-        sent = np.pad(commands, ((0, held), (0, 0)), mode="edge")
+        sent = np.pad(commands, ((0, last), (0, 0)), mode="edge")
         # As the set points, which are halfway between two rows at the end of a cycle.
         between = np.concatenate([asked[:1], (asked[1:] + asked[:-1]) / 2.0])
         targets = [Target.from_configuration(arm, arm.configuration(row)) for row in between]
@@ -187,7 +192,7 @@ def simulate(
             break
         if progress is not None:
             progress(number, len(rows) - 1)
-    return recording.simulation("open", scene, tolerance)
+    return replace(recording.simulation("open", scene, tolerance), held=held)
 
 
 def simulate_closed(

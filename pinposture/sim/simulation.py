@@ -8,13 +8,16 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture._validation import make_read_only, require_finite, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
+from pinposture.collision.bodies import frame_pose
 from pinposture.errors import InvalidValue
 from pinposture.motion.files import Format, check_arrays, check_postures, register
+from pinposture.motion.held import HeldObject
 from pinposture.motion.run import Outcome, closest, ending
 from pinposture.sim.contact import ContactHistory
 from pinposture.sim.model import Servos
@@ -27,7 +30,8 @@ Array = NDArray[np.float64]
 END_TOLERANCE = 0.01
 
 PATH_RATIO = 5.0
-"""Largest mean deviation of the control points from their set points, in tolerances at the end."""
+"""Largest mean deviation of the control points from their set points, and of what the arm holds from where it
+was taken, in tolerances at the end."""
 
 
 class PathDeviation(NamedTuple):
@@ -42,6 +46,20 @@ class PathDeviation(NamedTuple):
     row: int
     mean: float
     text: str
+
+
+class Slip(NamedTuple):
+    """How far an object slid out of the arm that was to hold it.
+
+    Attributes:
+        obstacle: its name.
+        time: when it was farthest from where it was taken [s].
+        distance: how far its middle then was from there, in the frame that it should move with [m].
+    """
+
+    obstacle: str
+    time: float
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +93,7 @@ class Simulation(Outcome):
         scene: the obstacles, as they were at the start, or None.
         tolerance: mean distance of the control points from their goal that counts as arrived [m].
         contacts: what touched; None if contact was not simulated.
+        held: the obstacles that the arm was to hold on the way.
     """
 
     arm: Arm
@@ -100,6 +119,7 @@ class Simulation(Outcome):
     scene: Scene | None = None
     tolerance: float = 0.0
     contacts: ContactHistory | None = None
+    held: tuple[HeldObject, ...] = ()
 
     def __post_init__(self) -> None:
         make_read_only(*vars(self).values())
@@ -128,12 +148,55 @@ class Simulation(Outcome):
 
     @cached_property
     def touched(self) -> tuple[str, ...] | None:
-        """Clauses on the first contact that was not allowed; None if contact was not simulated."""
+        """Clauses on the first contact that was not allowed, and on each object that slipped.
+
+        None if contact was not simulated.
+        """
         if self.contacts is None:
             return None
         faults = self.contacts.faults
         others = f", and {len(faults) - 1} more pairs touch" if len(faults) > 1 else ""
-        return tuple(f"{each}{others}" for each in faults[:1])
+        allowed = self._allowed_deviation
+        slipped = tuple(
+            f"{each.obstacle} slips {length_text(each.distance)} in the arm until {each.time:.4g} s "
+            f"(allowed {length_text(allowed)})"
+            for each in self.slipped
+            if each.distance > allowed
+        )
+        return tuple(f"{each}{others}" for each in faults[:1]) + slipped
+
+    @cached_property
+    def slipped(self) -> tuple[Slip, ...]:
+        """How far the objects that the arm was to hold slid in it, one for each time that it held one.
+
+        Empty if contact was not simulated, or the motion holds nothing that is free to move.
+        """
+        if self.contacts is None or self.scene is None:
+            return ()
+        free = list(self.contacts.model.masses)
+        obstacles = self.scene.obstacles
+        found = []
+        for each in self.held:
+            if each.obstacle in free and each.begin < len(self.q):
+                middle = obstacles[each.obstacle].pose(np.zeros(3)).translation
+                placed = self.contacts.displacements[:, free.index(each.obstacle)]
+                found.append(self._slip(each, middle, placed))
+        return tuple(found)
+
+    def _slip(self, held: HeldObject, middle: Array, placed: Array) -> Slip:
+        """Return how far an object slid that began in the middle, (3,) [m], and was moved, (N, 4, 4)."""
+        at = []
+        for row in range(held.begin, min(held.end, len(self.q))):
+            frame = frame_pose(self.arm, self.q[row], held.frame)
+            at.append(frame.actInv(pin.SE3(placed[row]).act(middle)))
+        away = np.linalg.norm(np.array(at) - at[0], axis=1)
+        farthest = int(away.argmax())
+        return Slip(held.obstacle, float(self.time[held.begin + farthest]), float(away[farthest]))
+
+    @property
+    def _allowed_deviation(self) -> float:
+        """Deviation from the path, and slip, that counts as none [m]."""
+        return PATH_RATIO * max(self.tolerance, END_TOLERANCE * self.arm.length)
 
     @cached_property
     def excess(self) -> PathDeviation | None:
@@ -146,7 +209,7 @@ class Simulation(Outcome):
             errors = self.target_errors
         mean = errors.mean(axis=1)
         row = int(mean.argmax())
-        allowed = PATH_RATIO * max(self.tolerance, END_TOLERANCE * self.arm.length)
+        allowed = self._allowed_deviation
         if not self.converged or mean[row] <= allowed:
             return None
         time, point = np.unravel_index(int(errors.argmax()), errors.shape)
@@ -220,6 +283,7 @@ class Simulation(Outcome):
             "measured_share": self.measured,
             "clearance": closest(self),
             "contact": None if self.contacts is None else self.contacts.summary(),
+            "slipped": [each._asdict() for each in self.slipped],
             "warnings": list(self.warnings),
         }
         if self.target_errors is not None and self.weights is not None:
@@ -349,4 +413,4 @@ def _check_contacts(contacts: ContactHistory, rows: int) -> None:
         require_finite(name, array)
 
 
-register(Format("pinposture-simulation", 5, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))
+register(Format("pinposture-simulation", 6, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,7 @@ import pinposture as pp
 from pinposture import sim
 from pinposture.arm import continuum_section
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.motion.held import HeldObject
 from pinposture.sim.plant import Plant
 
 FLOOR = pp.HalfSpace((0, 0, -1), (0, 0, 1))
@@ -215,3 +217,31 @@ def test_a_ball_between_two_jaws_is_held_up_to_the_mass_that_is_told(share, held
     if held:
         assert ended.contacts.forces[-1, :, 1] == pytest.approx([-0.5 / 0.15, 0.5 / 0.15], rel=0.02)
         assert not ended.contacts.faults
+
+
+@pytest.mark.parametrize(("name", "falls"), [("ball", True), ("stone", False)])
+def test_what_falls_out_of_the_arm_fails_the_verdict_and_what_stays_does_not(name, falls, tmp_path):
+    arm = pendulum()
+    scene = pp.Scene({"floor": FLOOR, "ball": pp.Sphere((3, 0, 0), 0.05), "stone": box()})
+    q = arm.neutral()
+    run = pp.track(arm, pp.Target.from_configuration(arm, q), q, limits=pp.Limits(dt=0.01), scene=scene)
+    still = np.repeat(run.q[:1], 31, axis=0)
+    names = ("points", "point_errors", "clearance")
+    shown = {each: np.repeat(getattr(run, each)[:1], 31, axis=0) for each in names}
+    steps = {each: np.zeros((30, arm.nv), dtype=bool) for each in ("clipped",)}
+    steps |= {"active": np.zeros((30, 1), bool), "error_increasing": np.zeros(30, bool)}
+    whole = replace(run, q=still, **shown, **steps, violated_constraints=np.full(30, ""), info={})
+    frame = arm.control_points[-1]
+    held = HeldObject(name, frame, begin=5, end=20), HeldObject(name, frame, begin=20, end=31)
+    contact = sim.ContactModel(masses={"ball": 0.1, "stone": MASS})
+    servos = sim.Servos(gravity_compensation=True)
+    ended = sim.simulate(arm, replace(whole, held=held), servos, contact=contact, hold=0.0)
+    (slip,) = ended.slipped
+    begun, end = 0.05, 0.30
+    way = 9.81 * (end**2 - begun**2) / 2.0 if falls else 0.0
+    assert slip.obstacle == name
+    assert slip.distance == pytest.approx(way, rel=0.01, abs=1e-3)
+    assert any(f"{name} slips" in each for each in ended.faults) == falls
+    assert (f"{name} slips" in ended.verdict) == falls
+    again = pp.load(pp.save(ended, tmp_path / "simulation"))
+    assert again.slipped == ended.slipped
