@@ -27,13 +27,24 @@ SLACK = 1e-4
 ATAN2_THRESHOLD = 3.0
 """Angle up to which Pinocchio's difference of two angles is accurate to full precision [rad]."""
 FULL_TURN = 2.0 * np.pi
-CLEARLY_OUTSIDE = 0.1
-"""Distance outside its limits at which a joint suggests that positions are in degrees [rad]."""
-DEGREES_FRACTION = 0.5
-DEGREES_MIN_COUNT = 3
-"""Fraction of all comparable joints, and minimum number of joints, that indicate degrees."""
-WOUND_POSITION = 4.0 * FULL_TURN
-"""Position beyond which a joint without limits suggests that positions are in degrees [rad]."""
+
+
+class DegreesSettings(NamedTuple):
+    """When joint positions seem to be in degrees."""
+
+    clearly_outside: float = 0.1
+    """Distance outside its limits at which a joint suggests that positions are in degrees [rad]."""
+
+    fraction: float = 0.5
+    min_count: int = 3
+    """Fraction of all comparable joints, and minimum number of joints, that indicate degrees."""
+
+    wound: float = 4.0 * FULL_TURN
+    """Position beyond which a joint without limits suggests that positions are in degrees [rad]."""
+
+
+DEGREES = DegreesSettings()
+
 DEGREES_HINT = "is it in degrees? np.deg2rad converts to radians (--degrees on the command line)"
 
 
@@ -220,7 +231,7 @@ def check_joint_positions(
     excess = np.maximum(limits.lower - positions, positions - limits.upper)
     revolute_excess = np.where(slides, -np.inf, excess)
     limited = ~slides & np.isfinite(np.minimum(-limits.lower, limits.upper))
-    clearly = limited & (excess > CLEARLY_OUTSIDE)
+    clearly = limited & (excess > DEGREES.clearly_outside)
     in_degrees = revolute_excess.max() > FULL_TURN or _suggest_degrees(clearly, limited)
     worst = int(np.argmax(revolute_excess if in_degrees else excess))
     outside = np.count_nonzero(excess > SLACK)
@@ -236,22 +247,22 @@ def check_joint_positions(
         at = f"{which} is at {positions[worst]:.4g}, allowed {allowed}"
         warn_caller(f"{name}: {count} outside the limits; {at}")
     free = ~slides & ~limited
-    wound = free & (np.abs(positions) > WOUND_POSITION)
+    wound = free & (np.abs(positions) > DEGREES.wound)
     if _suggest_degrees(wound, free):
         worst = int(np.argmax(np.where(free, np.abs(positions), 0.0)))
         count = f"{np.count_nonzero(wound)} joints without limits"
-        turns = f"{count} are wound by more than {WOUND_POSITION / FULL_TURN:g} turns"
+        turns = f"{count} are wound by more than {DEGREES.wound / FULL_TURN:g} turns"
         warn_caller(f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}")
 
 
 def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the range of positions, (nv,) each, within which `check_joint_positions` finds no fault."""
     free = ~slides & ~np.isfinite(np.minimum(-limits.lower, limits.upper))
-    widest = np.where(free, WOUND_POSITION, np.inf)
+    widest = np.where(free, DEGREES.wound, np.inf)
     slack = 0.9 * SLACK  # allows for rounding
     return np.maximum(limits.lower - slack, -widest), np.minimum(limits.upper + slack, widest)
 
 
 def _suggest_degrees(suspicious: NDArray[np.bool_], comparable: NDArray[np.bool_]) -> bool:
-    least = max(DEGREES_MIN_COUNT, DEGREES_FRACTION * np.count_nonzero(comparable))
+    least = max(DEGREES.min_count, DEGREES.fraction * np.count_nonzero(comparable))
     return bool(np.count_nonzero(suspicious) >= least)

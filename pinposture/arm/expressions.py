@@ -11,20 +11,32 @@ from functools import lru_cache, partial, reduce
 from pathlib import Path
 from string import Formatter
 from types import CodeType
-from typing import Any
+from typing import Any, NamedTuple
 
 from pinposture.errors import FileError, PostureError, URDFError
 
-MOST_ITEMS = 100_000
-"""Largest value of an expression: its characters and items, those of nested ones included."""
-MOST_BITS = 10_000
-"""Largest whole number, in bits; the largest real number has 1,024."""
-MOST_CHARACTERS = 10_000
-"""Longest expression."""
-MOST_YAML = 200_000
-"""Largest file of YAML [bytes]; larger ones take more than ten seconds to parse."""
-MOST_WORK = 20_000_000
-"""Most items that all expressions of a file may touch: some ten seconds."""
+
+class ExpressionBounds(NamedTuple):
+    """What an expression of a description may take."""
+
+    items: int = 100_000
+    """Largest value of an expression: its characters and items, those of nested ones included."""
+
+    bits: int = 10_000
+    """Largest whole number, in bits; the largest real number has 1,024."""
+
+    characters: int = 10_000
+    """Longest expression."""
+
+    yaml: int = 200_000
+    """Largest file of YAML [bytes]; larger ones take more than ten seconds to parse."""
+
+    work: int = 20_000_000
+    """Most items that all expressions of a file may touch: some ten seconds."""
+
+
+BOUNDS = ExpressionBounds()
+
 
 _STEP = 20  # work of a check, or of a round of a comprehension, which takes as long as twenty items
 _WIDEST = re.compile(r"\d{4}")  # widths and precisions of numbers in text, of 1,000 and more
@@ -64,12 +76,12 @@ class Expressions:
 
     Attributes:
         read: returns the name of the file that is being read, for messages.
-        left: work that is left of MOST_WORK.
+        left: work that is left of BOUNDS.work.
     """
 
     def __init__(self, read: Callable[[], str]) -> None:
         self.read = read
-        self.left = MOST_WORK
+        self.left = BOUNDS.work
         self._guards = (self.operate, self.call, self.attribute, self.checked, self.formatted, self._step)
 
     def evaluate(self, expression: str, names: dict[str, Any]) -> Any:
@@ -84,8 +96,8 @@ class Expressions:
         """
         with self.naming(expression):
             self.spend(_STEP + len(expression))
-            if len(expression) > MOST_CHARACTERS:
-                raise OutOfBounds(f"has {len(expression)} characters; allowed: {MOST_CHARACTERS}")
+            if len(expression) > BOUNDS.characters:
+                raise OutOfBounds(f"has {len(expression)} characters; allowed: {BOUNDS.characters}")
             names["__builtins__"] = {}
             return self.checked(eval(_compiled(expression.strip()), names)(*self._guards))
 
@@ -231,7 +243,7 @@ def _size(value: Any) -> int:
     """Return how many characters and items a value has, nested ones included; at least as many as allowed."""
     size = 0
     waiting = [value]
-    while waiting and size <= MOST_ITEMS:
+    while waiting and size <= BOUNDS.items:
         each = waiting.pop()
         size += 1
         if isinstance(each, (str, bytes, range)):
@@ -240,11 +252,11 @@ def _size(value: Any) -> int:
             size += each.bit_length() // 64
         elif isinstance(each, _COLLECTIONS):
             size += len(each)
-            if size <= MOST_ITEMS:
+            if size <= BOUNDS.items:
                 waiting.extend(each)
         elif isinstance(each, dict) and not hasattr(each, "top"):  # which a namespace of xacro has
             size += len(each)
-            if size <= MOST_ITEMS:
+            if size <= BOUNDS.items:
                 waiting.extend(each)
                 waiting.extend(each.values())
     return size
@@ -254,7 +266,7 @@ def _length(value: str | bytes | range) -> int:
     try:
         return len(value)
     except OverflowError:  # of a range
-        return MOST_ITEMS + 1
+        return BOUNDS.items + 1
 
 
 def _require_small(name: str) -> None:
@@ -264,13 +276,13 @@ def _require_small(name: str) -> None:
     path = Path(abs_filename_spec(name))
     if path.exists() and not path.is_file():
         raise FileError(path, "is no file")
-    if path.exists() and path.stat().st_size > MOST_YAML:
-        raise FileError(path, f"is too large for xacro; allowed: {MOST_YAML} bytes")
+    if path.exists() and path.stat().st_size > BOUNDS.yaml:
+        raise FileError(path, f"is too large for xacro; allowed: {BOUNDS.yaml} bytes")
 
 
 def _require_items(size: int) -> None:
-    if size > MOST_ITEMS:
-        raise OutOfBounds(f"makes text or a list of more than {MOST_ITEMS} characters and items")
+    if size > BOUNDS.items:
+        raise OutOfBounds(f"makes text or a list of more than {BOUNDS.items} characters and items")
 
 
 def _require_bits(symbol: str, left: int, right: int) -> None:
@@ -282,8 +294,8 @@ def _require_bits(symbol: str, left: int, right: int) -> None:
         bits += max(right, 0)
     elif symbol == "Mult":
         bits += right.bit_length()
-    if bits > MOST_BITS:
-        raise OutOfBounds(f"makes a whole number of more than {MOST_BITS} bits")
+    if bits > BOUNDS.bits:
+        raise OutOfBounds(f"makes a whole number of more than {BOUNDS.bits} bits")
 
 
 def _require_narrow(style: str) -> None:

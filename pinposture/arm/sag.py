@@ -19,20 +19,34 @@ Array = NDArray[np.float64]
 Loads = Callable[[Array], tuple[Array, Array]]
 """Returns the torques that hold an arm, (nv,), and their gradient, (nv, nv), at a displacement, (nv,)."""
 
-FARTHEST_MOVE = 0.2
-"""Largest motion of a joint in a Newton step, in joint units: beyond it the load grows in smaller steps. Half
-and twice of it lead to the same rest."""
-CONTRACTION = 0.5
-"""Largest length of a Newton step relative to the one before; near a rest it is far less."""
-SETTLED = 1e-10
-"""Length of a Newton step that is the last, in joint units; the next one would be its square."""
-SMALLEST_SHARE = 0.01
-"""Smallest part of the load that is added at once to an arm that is about to buckle: how exactly the load is
-known at which it does."""
-ABOUT_TO_BUCKLE = 0.1
-"""Curvature of the energy, relative to that of the springs alone, below which an arm is about to buckle."""
-LEAST_SHARE = 1e-12
-"""Smallest part of the load that is added at once: that of a limp arm, which moves far until it hangs."""
+
+class SagSettings(NamedTuple):
+    """How the rest of an arm under load is found, and when it counts as about to buckle."""
+
+    farthest_move: float = 0.2
+    """Largest motion of a joint in a Newton step, in joint units: beyond it the load grows in smaller
+    steps. Half and twice of it lead to the same rest."""
+
+    contraction: float = 0.5
+    """Largest length of a Newton step relative to the one before; near a rest it is far less."""
+
+    settled: float = 1e-10
+    """Length of a Newton step that is the last, in joint units; the next one would be its square."""
+
+    smallest_share: float = 0.01
+    """Smallest part of the load that is added at once to an arm that is about to buckle: how exactly the
+    load is known at which it does."""
+
+    about_to_buckle: float = 0.1
+    """Curvature of the energy, relative to that of the springs alone, below which an arm is about to
+    buckle."""
+
+    least_share: float = 1e-12
+    """Smallest part of the load that is added at once: that of a limp arm, which moves far until it
+    hangs."""
+
+
+SAG = SagSettings()
 
 
 class Settled(NamedTuple):
@@ -94,9 +108,9 @@ def settle(loads: Loads, root: Array, units: Array) -> Settled:
             step = 2.0 * step
             continue
         step = step / 2.0
-        if step < SMALLEST_SHARE:
+        if step < SAG.smallest_share:
             bent = curvature(loads(root @ rest)[1], root, trial)
-            if step < LEAST_SHARE or np.linalg.eigvalsh(bent)[0] < ABOUT_TO_BUCKLE:
+            if step < SAG.least_share or np.linalg.eigvalsh(bent)[0] < SAG.about_to_buckle:
                 return Settled(root @ rest, share, weakest_joint(bent, root, units))
     return Settled(root @ rest, share, 0)
 
@@ -113,9 +127,9 @@ def _rest_from(start: Array, share: float, loads: Loads, root: Array, units: Arr
             return None
         move = -cho_solve(factor, rest + share * (root.T @ torques))
         size = float(np.abs(root @ move / units).max())
-        if not size <= min(FARTHEST_MOVE, CONTRACTION * before):
+        if not size <= min(SAG.farthest_move, SAG.contraction * before):
             return None
         rest = rest + move
-        if size <= SETTLED:
+        if size <= SAG.settled:
             return np.asarray(rest)
         before = size

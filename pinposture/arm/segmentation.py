@@ -18,24 +18,40 @@ from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
-LINK_TOLERANCE = 0.02
-"""Largest difference between links that count as equal, relative to the mean distance between joints."""
-MAX_PERIOD = 12
-"""Longest period of repetition to search for, in joints."""
-SAMPLED_POSTURES = 16
-"""Number of postures in which the end motion of a module is measured."""
-MAX_SAMPLE_ANGLE = 1.2
-"""Largest deviation of a joint from its position nearest zero in those postures [rad]."""
-MIN_MOTION = 0.05
-"""Smallest sideways motion of the end per radian, relative to its distance from the module base."""
-MIN_DISTANCE = 1e-3
-"""Smallest distance of the end from the module base, relative to the mean distance between joints."""
-MAX_EXTRA_JOINTS = 4
-"""Number of joints by which a module may exceed the minimum where nothing repeats."""
-MAX_REGISTERED_JOINTS = 24
-"""Largest module with registered kinematics to search for, in joints."""
-MAX_IDLE_JOINTS = 1
-"""Number of joints that may move the end of a module beyond those needed to place it."""
+
+class SegmentationSettings(NamedTuple):
+    """How modules are found in a description."""
+
+    link_tolerance: float = 0.02
+    """Largest difference between links that count as equal, relative to the mean distance between
+    joints."""
+
+    max_period: int = 12
+    """Longest period of repetition to search for, in joints."""
+
+    sampled_postures: int = 16
+    """Number of postures in which the end motion of a module is measured."""
+
+    max_sample_angle: float = 1.2
+    """Largest deviation of a joint from its position nearest zero in those postures [rad]."""
+
+    min_motion: float = 0.05
+    """Smallest sideways motion of the end per radian, relative to its distance from the module base."""
+
+    min_distance: float = 1e-3
+    """Smallest distance of the end from the module base, relative to the mean distance between joints."""
+
+    max_extra_joints: int = 4
+    """Number of joints by which a module may exceed the minimum where nothing repeats."""
+
+    max_registered_joints: int = 24
+    """Largest module with registered kinematics to search for, in joints."""
+
+    max_idle_joints: int = 1
+    """Number of joints that may move the end of a module beyond those needed to place it."""
+
+
+SEGMENTATION = SegmentationSettings()
 
 
 @dataclass(frozen=True)
@@ -129,7 +145,7 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
     best: list[tuple[int, int, list[tuple[int, int, str]]]] = [(0, 0, [])] * (n + 1)
     for start in range(n - 1, -1, -1):
         best[start] = best[start + 1]
-        for stop in range(start + 1, min(start + MAX_REGISTERED_JOINTS, n) + 1):
+        for stop in range(start + 1, min(start + SEGMENTATION.max_registered_joints, n) + 1):
             own = columns[start:stop].tolist()
             if any(first[column] < start or last[column] >= stop for column in own):
                 continue  # coupled to joints outside
@@ -209,10 +225,11 @@ def find_repetitions(skeleton: Skeleton) -> list[Repetition]:
     links = _link_invariants(skeleton)
     n = len(skeleton.names)
     found = []
-    for period in range(1, min(n // 2, MAX_PERIOD) + 1):
+    for period in range(1, min(n // 2, SEGMENTATION.max_period) + 1):
         same_kind = skeleton.revolute[:-period] == skeleton.revolute[period:]
         difference = np.abs(links[:-period] - links[period:])
-        same_link = np.all(~(difference > LINK_TOLERANCE), axis=1)  # NaN for the last joint: no axis after it
+        # NaN for the last joint: no axis after it.
+        same_link = np.all(~(difference > SEGMENTATION.link_tolerance), axis=1)
         u = 0
         while u < n - period:
             first = u
@@ -265,12 +282,13 @@ class EndMobility:
         self._skeleton = skeleton
         self._pitch = skeleton.length / len(skeleton.names)
         self._known: dict[tuple[int, int], EndMotion] = {}
-        swing = np.where(skeleton.revolute, MAX_SAMPLE_ANGLE, self._pitch)
+        swing = np.where(skeleton.revolute, SEGMENTATION.max_sample_angle, self._pitch)
         middle = np.clip(0.0, skeleton.lower, skeleton.upper)
         swing[skeleton.base_slides] = 0.0
         low = np.maximum(skeleton.lower, middle - swing)
         high = np.minimum(skeleton.upper, middle + swing)
-        self._positions = np.random.default_rng(0).uniform(low, high, (SAMPLED_POSTURES, len(middle)))
+        size = (SEGMENTATION.sampled_postures, len(middle))
+        self._positions = np.random.default_rng(0).uniform(low, high, size)
         # Coupled joints move together: the first of them within the narrowest range of all.
         first, number = np.unique(skeleton.columns, return_index=True, return_inverse=True)[1:]
         self._inputs = number
@@ -283,7 +301,8 @@ class EndMobility:
             middle = np.clip(0.0, skeleton.lower, skeleton.upper)[first][number] * skeleton.ratios
             low = np.maximum(skeleton.lower, middle - swing)
             high = np.minimum(skeleton.upper, middle + swing)
-            amount = np.random.default_rng(0).uniform(low[first], high[first], (SAMPLED_POSTURES, len(first)))
+            size = (SEGMENTATION.sampled_postures, len(first))
+            amount = np.random.default_rng(0).uniform(low[first], high[first], size)
             self._positions = amount[:, number] * skeleton.ratios
         last = np.zeros(len(first), dtype=np.intp)
         np.maximum.at(last, number, np.arange(len(number)))
@@ -295,11 +314,11 @@ class EndMobility:
 
     def can_place(self, first: int, stop: int) -> bool:
         """Whether joints first, ..., stop - 1 can place station `stop` on any curve through `first`."""
-        return stop > self._flat_ends[first] and self.motion(first, stop).hardest > MIN_MOTION
+        return stop > self._flat_ends[first] and self.motion(first, stop).hardest > SEGMENTATION.min_motion
 
     def can_move(self, first: int, stop: int) -> bool:
         """Return whether those joints move station `stop` in at least one perpendicular direction."""
-        return self.motion(first, stop).easiest > MIN_MOTION
+        return self.motion(first, stop).easiest > SEGMENTATION.min_motion
 
     def motion(self, first: int, stop: int) -> EndMotion:
         """Measure how those joints move station `stop`; zero if others are coupled to them."""
@@ -312,7 +331,7 @@ class EndMobility:
         normal = self._skeleton.normal
         ends, jacobians = self._jacobians(first, stop)
         distance = np.linalg.norm(ends, axis=1)
-        apart = distance > MIN_DISTANCE * self._pitch
+        apart = distance > SEGMENTATION.min_distance * self._pitch
         distance = np.where(apart, distance, 1.0)
         along = ends / distance[:, None]
         if normal is None:
@@ -320,18 +339,19 @@ class EndMobility:
         else:
             across = np.einsum("si,sij->sj", np.cross(normal, along), jacobians)[:, None]
         across = np.where(apart[:, None, None], across / distance[:, None, None], 0.0)
-        sizes = np.zeros((SAMPLED_POSTURES, self.needed))
+        sizes = np.zeros((SEGMENTATION.sampled_postures, self.needed))
         values = np.linalg.svd(across, compute_uv=False)[:, : self.needed]
         sizes[:, : values.shape[1]] = values
         single = np.median(np.linalg.norm(across, axis=1), axis=0)
         easiest, hardest = np.median(sizes, axis=0)[[0, -1]]
         # Rounded so that groups of equal motion compare equal in any order of summation.
-        return EndMotion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > MIN_MOTION)))
+        movers = int(np.sum(single > SEGMENTATION.min_motion))
+        return EndMotion(round(float(easiest), 9), round(float(hardest), 9), movers)
 
     def _jacobians(self, first: int, stop: int) -> tuple[Array, Array]:
         """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in each sampled posture."""
         arm = self._skeleton
-        count = SAMPLED_POSTURES
+        count = SEGMENTATION.sampled_postures
         place = np.zeros((count, 3))
         turn = np.broadcast_to(np.eye(3), (count, 3, 3))
         axes = []
@@ -399,7 +419,8 @@ def _best_cuts(
     best: dict[int, tuple[int, int, float, list[int]]] = {stop: (0, 0, np.inf, [])}
     for start in range(stop - 1, first - 1, -1):
         smallest = next((end for end in range(start + 1, stop) if admissible(start, end)), stop)
-        for end in dict.fromkeys([*range(smallest, min(smallest + MAX_EXTRA_JOINTS, stop)), stop]):
+        largest = min(smallest + SEGMENTATION.max_extra_joints, stop)
+        for end in dict.fromkeys([*range(smallest, largest), stop]):
             if end in best and admissible(start, end):
                 placed, count, motion, cuts = best[end]
                 placed += mobility.can_place(start, end)
@@ -450,7 +471,7 @@ def _cut_redundant(mobility: EndMobility, sizes: Sequence[int]) -> list[int]:
     for size in sizes:
         stop = start + size
         cuts = [stop]
-        if mobility.motion(start, stop).movers > mobility.needed + MAX_IDLE_JOINTS:
+        if mobility.motion(start, stop).movers > mobility.needed + SEGMENTATION.max_idle_joints:
             cuts = _best_cuts(mobility, start, stop, mobility.can_move)
         pieces = list(pairwise([start, *cuts]))
         if sum(not mobility.can_place(*piece) for piece in pieces) < 2:

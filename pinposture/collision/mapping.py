@@ -37,35 +37,45 @@ Unknown: TypeAlias = Literal["free", "forbidden"]
 UNSEEN = ("free", "forbidden")
 """What cells can count as that nothing has been seen in."""
 
-MAX_CELLS = 2**28
-"""Largest number of cells of a grid. Memory is used only for blocks that rays have reached: 4 kB each."""
 
-REACH = 1.2
-"""Distance from the base up to which a map reaches, in lengths of the arm: what is farther away cannot be
-near the arm, but for thick ends."""
+class MapSettings(NamedTuple):
+    """How far a map reaches, and what it keeps."""
+
+    max_cells: int = 2**28
+    """Largest number of cells of a grid. Memory is used only for blocks that rays have reached: 4 kB
+    each."""
+
+    reach: float = 1.2
+    """Distance from the base up to which a map reaches, in lengths of the arm: what is farther away cannot
+    be near the arm, but for thick ends."""
+
+    cell: float = 0.02
+    """Edge length of cells, in lengths of the arm, unless it is given."""
+
+    rescaled: float = 1e6
+    """Scale of evidence at which it is made 1 again, far below what single precision holds."""
+
+    mount: float = 3.0
+    """Distance from where the arm is mounted within which points are left out, beside the radius of the
+    body there and `own_margin`, in cells: the balls of cells reach 1.73 cells beyond a point, and the
+    margin of a scene comes on top."""
+
+    measured: int = 500
+    """Number of measured configurations that are kept: 5 s of a loop at 100 Hz, far longer than pictures
+    take."""
+
+    fewest: int = 20_000
+    """Cells for which there is room at first when those on surfaces are listed."""
+
+    far: float = 1e3
+    """Depth that an infinite one stands for [m], which is beyond every grid that fits into memory."""
+
+
+MAPPING = MapSettings()
+
 
 SEEN = "seen by cameras"
 """Name of a map among the obstacles of a scene."""
-
-USUAL_CELL = 0.02
-"""Edge length of cells, in lengths of the arm, unless it is given."""
-
-RESCALED = 1e6
-"""Scale of evidence at which it is made 1 again, far below what single precision holds."""
-
-MOUNT = 3.0
-"""Distance from where the arm is mounted within which points are left out, beside the radius of the body
-there and `own_margin`, in cells: the balls of cells reach 1.73 cells beyond a point, and the margin of a
-scene comes on top."""
-
-MEASURED = 500
-"""Number of measured configurations that are kept: 5 s of a loop at 100 Hz, far longer than pictures take."""
-
-FEWEST = 20_000
-"""Cells for which there is room at first when those on surfaces are listed."""
-
-FAR = 1e3
-"""Depth that an infinite one stands for [m], which is beyond every grid that fits into memory."""
 
 
 class Intrinsics(NamedTuple):
@@ -185,10 +195,10 @@ class Map:
         if reach is None:
             if arm is None:
                 raise InvalidValue("reach", None, "half the width of the map [m], for a map without an arm")
-            reach = REACH * (arm.length + (arm.travel if math.isfinite(arm.travel) else 0.0))
+            reach = MAPPING.reach * (arm.length + (arm.travel if math.isfinite(arm.travel) else 0.0))
         self.reach = length("reach", reach)
         self._grid = self._make_grid()
-        self._own = None if arm is None else _OwnBodies(arm, self.own_margin, MOUNT * self.resolution)
+        self._own = None if arm is None else _OwnBodies(arm, self.own_margin, MAPPING.mount * self.resolution)
         self._pictures = 0
         self._found = 0
         self._scaled_at = 0.0
@@ -200,12 +210,12 @@ class Map:
 
     def _make_grid(self) -> OccupancyGrid:
         across = 2.0 * self.reach / (EDGE * self.resolution)
-        if across > MAX_CELLS:
+        if across > MAPPING.max_cells:
             raise InvalidValue("reach", self.reach, f"less at a resolution of {self.resolution:g} m")
         blocks = math.ceil(across * (1.0 - 1e-12))
         count = blocks**3 * CELLS
-        if count > MAX_CELLS:
-            least = 2.0 * self.reach / MAX_CELLS ** (1.0 / 3.0)
+        if count > MAPPING.max_cells:
+            least = 2.0 * self.reach / MAPPING.max_cells ** (1.0 / 3.0)
             allowed = f"at least {least:.2g} m with a reach of {self.reach:g} m"
             raise InvalidValue("resolution", self.resolution, allowed)
         corner = np.array(self.center) - 0.5 * blocks * EDGE * self.resolution
@@ -241,7 +251,7 @@ class Map:
         when = _time(time)
         if self._history and when <= self._history[-1][0]:
             raise InvalidValue("time", when, f"more than {self._history[-1][0]!r}, that of the last one")
-        self._history = (*self._history[1 - MEASURED :], (when, measured))
+        self._history = (*self._history[1 - MAPPING.measured :], (when, measured))
 
     def configuration_at(self, time: float) -> Array:
         """Return the measured configuration at a time, interpolated between those around it, (nq,).
@@ -357,7 +367,7 @@ class Map:
         origin = np.array(placement.translation)
         rotation = np.ascontiguousarray(placement.rotation)
         points = np.empty((image.size, 3))
-        kernels.place_pixels(image, focal, axis, rotation, origin, FAR, points)
+        kernels.place_pixels(image, focal, axis, rotation, origin, MAPPING.far, points)
         return self._add(points, origin, when, measured)
 
     def clear(self, q: ArrayLike, distance: float) -> None:
@@ -461,7 +471,7 @@ class Map:
         """Add points, (m, 3) [m], seen from an origin, (3,) [m]; both in the world frame."""
         grid = self._grid
         self.time = max(self.time, time) if self._pictures or self.time else time
-        if self._scale > RESCALED:
+        if self._scale > MAPPING.rescaled:
             self._rescale()
         lines = np.zeros((0, 2, 3))
         radii = np.zeros(0)
@@ -492,11 +502,11 @@ class Map:
 
     def _publish(self) -> None:
         """Replace `cells` by those of now."""
-        if self._scale > RESCALED:
+        if self._scale > MAPPING.rescaled:
             self._rescale()
         self._pictures += 1
         forbidden = self.unknown == "forbidden"
-        room = max(FEWEST, 2 * self._found)
+        room = max(MAPPING.fewest, 2 * self._found)
         while True:
             centers = np.empty((room, 3))
             count = kernels.find_surface(self._grid, self._pictures, self._scale, forbidden, centers)

@@ -24,32 +24,42 @@ Array = NDArray[np.float64]
 
 WRAPPABLE = (Sphere, Capsule, Cylinder, Box, Mesh, MeshShape)
 
-MAX_TURNS = 100.0
-LEAST_TURNS = 1e-3
-"""Largest and smallest number of turns: the length of fewer is lost in rounding."""
 
-DEFAULT_PITCH = 2.5
-"""Advance of a turn, in gaps: with a gap of the radius of the arm, its turns are half a radius apart."""
+class WrappingCurveSettings(NamedTuple):
+    """How often a curve may turn around an object, and how finely it is drawn."""
 
-RIM_POINTS = 96
-"""Corners of the polygon around a round rim that is seen from the side: it is 0.05 % of the radius larger."""
+    max_turns: float = 100.0
+    least_turns: float = 1e-3
+    """Largest and smallest number of turns: the length of fewer is lost in rounding."""
 
-SAMPLES_PER_ROUNDING = 64
-"""Points of the curve in a full turn of its sharpest rounding; the curve keeps the gap to 0.2 % of it."""
+    pitch: float = 2.5
+    """Advance of a turn, in gaps: with a gap of the radius of the arm, its turns are half a radius
+    apart."""
 
-MOST_SAMPLES = 20_000
+    rim_points: int = 96
+    """Corners of the polygon around a round rim that is seen from the side: it is 0.05 % of the radius
+    larger."""
+
+    samples_per_rounding: int = 64
+    """Points of the curve in a full turn of its sharpest rounding; the curve keeps the gap to 0.2 % of
+    it."""
+
+    most_samples: int = 20_000
+    gap_tolerance: float = 0.01
+    """Share of the gap by which the approach may come nearer."""
+
+
+WRAPPING = WrappingCurveSettings()
+
 
 PARALLEL = 1e-9
 """Sine of the angle between two axes that count as parallel."""
 
-GAP_TOLERANCE = 0.01
-"""Share of the gap by which the approach may come nearer."""
-
 
 def as_turns(name: str, value: Any) -> float:
     """Read a number of turns, which may be negative, else raise InvalidValue."""
-    allowed = f"a number of {LEAST_TURNS:g} to {MAX_TURNS:g}, or the negative of one"
-    return as_number(name, value, allowed, lambda x: LEAST_TURNS <= abs(x) <= MAX_TURNS)
+    allowed = f"a number of {WRAPPING.least_turns:g} to {WRAPPING.max_turns:g}, or the negative of one"
+    return as_number(name, value, allowed, lambda x: WRAPPING.least_turns <= abs(x) <= WRAPPING.max_turns)
 
 
 class WrappedBody(NamedTuple):
@@ -221,7 +231,7 @@ def curve_around(
     winding = winding_around(obstacle, begin, gap, turns, axis, pitch, first)
     approach = _approach((begin, winding.points[0]), (first, winding.heading), winding.spacing)
     nearest = float(winding.body.distances(approach).min())
-    if nearest < gap * (1.0 - GAP_TOLERANCE) - 1e-9:
+    if nearest < gap * (1.0 - WRAPPING.gap_tolerance) - 1e-9:
         near = f"the way to the obstacle comes {length_text(gap - nearest)} nearer to it than the gap"
         raise CurveError("start", f"{near}; give another direction, axis, or sign of turns")
     return Curve.points(np.vstack([approach, winding.points]))
@@ -256,7 +266,7 @@ def winding_around(
     if reach <= 0.0:
         raise InvalidValue("gap", gap, "more than 0 for an obstacle with edges")
     pitch = (
-        DEFAULT_PITCH * gap if pitch is None else as_number("pitch", pitch, "a finite number [m]", isfinite)
+        WRAPPING.pitch * gap if pitch is None else as_number("pitch", pitch, "a finite number [m]", isfinite)
     )
     frame = _frame(body.axis)
     if turns < 0.0:
@@ -267,10 +277,10 @@ def winding_around(
     rise = pitch * abs(turns)
     touch = _touching(outline, frame @ start, None if heading is None else frame @ heading)
     total = abs(turns) * outline.perimeter
-    step = 2.0 * np.pi * reach / SAMPLES_PER_ROUNDING
+    step = 2.0 * np.pi * reach / WRAPPING.samples_per_rounding
     count = int(np.ceil(total / step)) + 1
-    if count > MOST_SAMPLES:
-        needed = gap + (count / MOST_SAMPLES - 1.0) * reach
+    if count > WRAPPING.most_samples:
+        needed = gap + (count / WRAPPING.most_samples - 1.0) * reach
         raise InvalidValue(
             "gap", gap, f"about {length_text(needed)} or more, or fewer turns: it rounds the edges"
         )
@@ -327,8 +337,9 @@ def _frame(axis: Array) -> Array:
 
 def _circle(radius: float) -> Array:
     """Return the corners of a polygon around a circle about the origin, (k, 2) [m]."""
-    angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    return np.asarray(radius / np.cos(np.pi / RIM_POINTS) * np.column_stack([np.cos(angles), np.sin(angles)]))
+    count = WRAPPING.rim_points
+    angles = 2.0 * np.pi * np.arange(count) / count
+    return np.asarray(radius / np.cos(np.pi / count) * np.column_stack([np.cos(angles), np.sin(angles)]))
 
 
 def _touching(outline: RoundedOutline, start: Array, heading: Array | None) -> float:
@@ -351,7 +362,7 @@ def _approach(ends: tuple[Array, Array], headings: tuple[Array | None, Array], s
     lead = float(np.linalg.norm(touch - start)) / 3.0
     after = touch - lead * last
     before = 0.5 * (start + after) if first is None else start + lead * first
-    count = min(max(int(np.ceil(3.0 * lead / step)), 8), MOST_SAMPLES)
+    count = min(max(int(np.ceil(3.0 * lead / step)), 8), WRAPPING.most_samples)
     t = (np.arange(count) / count)[:, None]
     inner = 3.0 * t * (1.0 - t) ** 2 * before + 3.0 * t**2 * (1.0 - t) * after
     return np.asarray((1.0 - t) ** 3 * start + inner + t**3 * touch)

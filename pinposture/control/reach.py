@@ -43,48 +43,56 @@ OBJECTIVES = ("dexterity", "torque")
 TIP_TOLERANCE = 1e-6
 """Default tolerance of the tip position, in arm lengths."""
 
-DISTINCT = 0.05
-"""Largest distance between corresponding points beyond which two postures are distinct, in arm lengths."""
 
-SEEDS_PER_WAVE = 24
-CHOSEN = 6
-MAX_WAVES = 40
-MAX_IDLE_WAVES = 3
-"""Seed postures per wave, how many of them are pushed clear, the largest number of waves, and the number of
-consecutive waves without a new posture that end the search once one is known."""
+class PostureSearchSettings(NamedTuple):
+    """How postures that reach a goal with the tip are searched, chosen and improved."""
 
-NEAR_WAVES = 4
-"""Largest number of waves after a descent from a given posture. The descent alone reached 160 of 160 goals,
-positions in random postures of arms with joint limits of 0.1 to 0.6 rad."""
+    distinct: float = 0.05
+    """Largest distance between corresponding points beyond which two postures are distinct, in arm
+    lengths."""
 
-SPARE = 3
-"""Number of postures searched beyond `count`, to choose from."""
+    seeds_per_wave: int = 24
+    chosen: int = 6
+    max_waves: int = 40
+    max_idle_waves: int = 3
+    """Seed postures per wave, how many of them are pushed clear, the largest number of waves, and the
+    number of consecutive waves without a new posture that end the search once one is known."""
 
-SEED_AMPLITUDES = 0.15, 1.3
-"""Range of the amplitudes of smooth seed postures, in `Arm.joint_units`."""
+    near_waves: int = 4
+    """Largest number of waves after a descent from a given posture. The descent alone reached 160 of 160
+    goals, positions in random postures of arms with joint limits of 0.1 to 0.6 rad."""
 
-FEW_JOINTS = 8
-"""Largest number of joints for which seed postures are uniformly random."""
+    spare: int = 3
+    """Number of postures searched beyond `count`, to choose from."""
 
-MAX_JOINT_MOTION = 0.3
-"""Largest joint motion of one iteration, in `Arm.joint_units`."""
+    seed_amplitudes: tuple[float, float] = 0.15, 1.3
+    """Range of the amplitudes of smooth seed postures, in `Arm.joint_units`."""
 
-TIP_ITERATIONS = 40
-CLEAR_ITERATIONS = 80
-POLISH_ITERATIONS = 12
-"""Iterations to bring the tip to its goal, to push the arm clear, and to improve a posture."""
+    few_joints: int = 8
+    """Largest number of joints for which seed postures are uniformly random."""
 
-BUFFER = 1e-4
-"""Clearance sought beyond the margin, in arm lengths, so that rounding does not violate the margin."""
+    max_joint_motion: float = 0.3
+    """Largest joint motion of one iteration, in `Arm.joint_units`."""
 
-AMPLE = 0.05
-"""Clearance beyond which more does not raise the score, in arm lengths."""
+    tip_iterations: int = 40
+    clear_iterations: int = 80
+    polish_iterations: int = 12
+    """Iterations to bring the tip to its goal, to push the arm clear, and to improve a posture."""
 
-NEAR_LIMIT_SHARE = 0.7
-"""Distance from mid-range beyond which a joint is pulled back, in half ranges."""
+    buffer: float = 1e-4
+    """Clearance sought beyond the margin, in arm lengths, so that rounding does not violate the margin."""
 
-MANIPULABILITY_GAIN = 2e-3
-"""Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
+    ample: float = 0.05
+    """Clearance beyond which more does not raise the score, in arm lengths."""
+
+    near_limit_share: float = 0.7
+    """Distance from mid-range beyond which a joint is pulled back, in half ranges."""
+
+    manipulability_gain: float = 2e-3
+    """Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
+
+
+SEARCH = PostureSearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +228,7 @@ def reach(
     _check_in_reach(arm, task, allowed_error, scene)
     until = began + (budget if first is None else 0.5 * budget)
     search = _Search(arm, task, scene, limits, allowed_error, objective)
-    postures = search.find(first, count + SPARE, np.random.default_rng(seed), until)
+    postures = search.find(first, count + SEARCH.spare, np.random.default_rng(seed), until)
     if first is None:
         return tuple(postures[:count])
     reached: list[ReachedPosture] = []
@@ -285,7 +293,7 @@ def bring_to_goal(arm: Arm, task: EndEffector, state: ChainState) -> tuple[Chain
         of seed postures; if none does, the one that comes closest to the goal.
     """
     search = _Search(arm, task, None, Limits(), TIP_TOLERANCE * arm.length)
-    waves = NEAR_WAVES
+    waves = SEARCH.near_waves
     try:
         require_within_reach(arm, task)
     except OutOfReach:
@@ -437,14 +445,14 @@ class _TipFit:
         rows = self._rows(state)
         search = self._search
         near = rows.tip_error <= 0.1 * search.tolerance
-        return near and rows.intrusion <= 0.5 * BUFFER * search.arm.length
+        return near and rows.intrusion <= 0.5 * SEARCH.buffer * search.arm.length
 
     def step(self, state: ChainState, damping: float) -> ChainState | None:
         search = self._search
         rows = self._rows(state)
         lower, upper = search.room(state)
-        lower = np.maximum(lower, -MAX_JOINT_MOTION)
-        upper = np.minimum(upper, MAX_JOINT_MOTION)
+        lower = np.maximum(lower, -SEARCH.max_joint_motion)
+        upper = np.minimum(upper, SEARCH.max_joint_motion)
         matrix = rows.matrix
         mean = float((matrix**2).sum()) / len(lower) + 1e-12 * search.arm.length**2
         # Full damping from a tenth of the arm length on; nearer, it falls with the squared errors.
@@ -501,20 +509,21 @@ class _Search:
         idle = 0
         nearest = inf
         intruding = 0
-        for wave in range(MAX_WAVES):
+        for wave in range(SEARCH.max_waves):
             before = len(found)
             settled: list[tuple[float, int, ChainState]] = []
             for number, q in enumerate(self._seeds(start, wave == 0, rng)):
-                state = self._settle(self.arm.chain_at(q), None, TIP_ITERATIONS)
+                state = self._settle(self.arm.chain_at(q), None, SEARCH.tip_iterations)
                 error = self.rows(state, None).tip_error
                 nearest = min(nearest, error)
-                if error <= self.tolerance or (self.model is not None and error <= AMPLE * self.arm.length):
+                close = self.model is not None and error <= SEARCH.ample * self.arm.length
+                if error <= self.tolerance or close:
                     near = start is not None and wave == number == 0  # tried first, even if it intrudes
                     intrusion = 0.0 if near else self.rows(state, self.margin).intrusion
                     settled.append((intrusion, number, state))
                 if perf_counter() >= until:
                     break
-            for _, _, begin in sorted(settled, key=lambda each: each[:2])[:CHOSEN]:
+            for _, _, begin in sorted(settled, key=lambda each: each[:2])[: SEARCH.chosen]:
                 state = self._push_clear(begin)
                 posture = self._judge(state)
                 if posture is None:
@@ -527,7 +536,7 @@ class _Search:
                 if len(found) >= wanted or perf_counter() >= until:
                     break
             idle = idle + 1 if len(found) == before else 0
-            if len(found) >= wanted or perf_counter() >= until or (found and idle >= MAX_IDLE_WAVES):
+            if len(found) >= wanted or perf_counter() >= until or (found and idle >= SEARCH.max_idle_waves):
                 break
         if not found:
             raise ReachError(_place_of(self.task), self._explain_failure(nearest, intruding))
@@ -535,14 +544,14 @@ class _Search:
 
     def bring_near(self, state: ChainState, waves: int, rng: np.random.Generator) -> tuple[ChainState, float]:
         """Return a state at the goal, the nearest found to a posture, or else the closest, and its error."""
-        best = self._settle(state, None, TIP_ITERATIONS)
+        best = self._settle(state, None, SEARCH.tip_iterations)
         error = self.rows(best, None).tip_error
         for _ in range(waves):
             if error <= self.tolerance:
                 break
             nearest = inf
             for q in self._seeds(None, False, rng):
-                other = self._settle(self.arm.chain_at(q), None, TIP_ITERATIONS)
+                other = self._settle(self.arm.chain_at(q), None, SEARCH.tip_iterations)
                 off = self.rows(other, None).tip_error
                 away = float(np.linalg.norm(other.points - state.points, axis=1).mean())
                 if off <= self.tolerance and away < nearest:
@@ -583,8 +592,8 @@ class _Search:
         """Return the clear posture found from another; None if there is none."""
         return self._judge(self._push_clear(state))
 
-    def _push_clear(self, state: ChainState, iterations: int = CLEAR_ITERATIONS) -> ChainState:
-        return self._settle(state, self.margin + BUFFER * self.arm.length, iterations)
+    def _push_clear(self, state: ChainState, iterations: int = SEARCH.clear_iterations) -> ChainState:
+        return self._settle(state, self.margin + SEARCH.buffer * self.arm.length, iterations)
 
     def _explain_failure(self, nearest: float, intruding: int) -> str:
         if nearest > self.tolerance:
@@ -596,12 +605,12 @@ class _Search:
     def _seeds(self, start: Array | None, first: bool, rng: np.random.Generator) -> Iterator[Array]:
         """Yield the seed postures of a wave; the first wave begins with the start."""
         arm = self.arm
-        few = len(self.columns) <= FEW_JOINTS
+        few = len(self.columns) <= SEARCH.few_joints
         here = arm.positions(arm.neutral() if start is None else start)
         if first and start is not None:
             yield arm.configuration(np.where(arm.moved > 0.0, np.clip(here, *self.edges), here))
-        for _ in range(SEEDS_PER_WAVE):
-            amplitude = rng.uniform(*SEED_AMPLITUDES)
+        for _ in range(SEARCH.seeds_per_wave):
+            amplitude = rng.uniform(*SEARCH.seed_amplitudes)
             q = arm.random(rng) if few else smooth_configuration(arm, rng, amplitude)
             drawn = np.clip(arm.positions(q), *self.edges)
             yield arm.configuration(np.where(arm.moved > 0.0, drawn, here))
@@ -630,8 +639,8 @@ class _Search:
         return descend(_TipFit(self, clearance), state, iterations)[0]
 
     def _limited(self, x: Array, lower: Array, upper: Array) -> Array:
-        """Return a step scaled to `MAX_JOINT_MOTION` and clipped at the limits."""
-        scale = min(1.0, MAX_JOINT_MOTION / max(float(np.abs(x).max(initial=0.0)), 1e-300))
+        """Return a step scaled to `SEARCH.max_joint_motion` and clipped at the limits."""
+        scale = min(1.0, SEARCH.max_joint_motion / max(float(np.abs(x).max(initial=0.0)), 1e-300))
         return np.asarray(np.clip(scale * x, lower, upper))
 
     def room(self, state: ChainState) -> tuple[Array, Array]:
@@ -645,9 +654,9 @@ class _Search:
 
     def _polish(self, posture: ReachedPosture, state: ChainState) -> tuple[ReachedPosture, ChainState]:
         """Improve clearance, distance from limits and the objective in the null space of the tip."""
-        wanted = self.margin + AMPLE * self.arm.length
+        wanted = self.margin + SEARCH.ample * self.arm.length
         moved = state
-        for _ in range(POLISH_ITERATIONS):
+        for _ in range(SEARCH.polish_iterations):
             rows = self.rows(moved, wanted)
             first = rows.matrix[: rows.tip]
             left = rows.errors[: rows.tip]
@@ -660,12 +669,12 @@ class _Search:
             gram = matrix.T @ matrix + 1e-2 * self.arm.length**2 * np.eye(len(null))
             x = np.linalg.solve(gram, matrix.T @ errors)
             if self.torques is None:
-                x = x + MANIPULABILITY_GAIN * self._manipulability(moved)
+                x = x + SEARCH.manipulability_gain * self._manipulability(moved)
             x = inverse @ left + null @ x
             if float(np.abs(x).max(initial=0.0)) < 1e-4:
                 break
             moved = self.moved(moved, self._limited(x, *self.room(moved)))
-        moved = self._push_clear(moved, CLEAR_ITERATIONS // 2)
+        moved = self._push_clear(moved, SEARCH.clear_iterations // 2)
         better = self._judge(moved)
         return (posture, state) if better is None or better.score < posture.score else (better, moved)
 
@@ -681,7 +690,7 @@ class _Search:
         """Return the rows that pull joints back from their limits, (n, n), and their errors, (n,) [m]."""
         middle, half = self._ranges
         share = (state.positions[self.columns] - middle) / half
-        excess = np.sign(share) * np.maximum(np.abs(share) - NEAR_LIMIT_SHARE, 0.0)
+        excess = np.sign(share) * np.maximum(np.abs(share) - SEARCH.near_limit_share, 0.0)
         root = 0.1 * self.arm.length
         change = np.where(excess == 0.0, 0.0, excess) * np.where(np.isfinite(half), half, 0.0) / self.units
         return root * np.diag((excess != 0.0).astype(np.float64)), -root * change
@@ -721,7 +730,7 @@ class _Search:
             return None
         limit_distance = _limit_distance(arm, q)
         index = at.ellipsoids(-1)[0].index
-        score = (min(max(clearance, 0.0) / (AMPLE * arm.length), 1.0) + limit_distance + index) / 3.0
+        score = (min(max(clearance, 0.0) / (SEARCH.ample * arm.length), 1.0) + limit_distance + index) / 3.0
         if self.torques is not None:
             score = max(0.0, 1.0 - self.torques.heaviest(state).share)
         distance = float(np.linalg.norm(at.points[-1] - _place_of(self.task)))
@@ -731,5 +740,5 @@ class _Search:
         return ReachedPosture(q, target, None, distance, clearance, limit_distance, index, None, score, load)
 
     def _is_new(self, links: Array, shapes: list[Array]) -> bool:
-        least = DISTINCT * self.arm.length
+        least = SEARCH.distinct * self.arm.length
         return all(float(np.linalg.norm(links - each, axis=1).max()) >= least for each in shapes)

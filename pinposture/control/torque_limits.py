@@ -17,29 +17,35 @@ from pinposture.errors import InvalidValue
 Array = NDArray[np.float64]
 
 
-TORQUE_LENGTH = 0.2
-"""Length as which a torque counts that is as large as its limit, in arm lengths. With 1, paths beside
-postures that cannot be held had a hundredth of each limit left for motion, and 62 of 75 arms, not 67, reached
-a target that moves on (`benchmarks.studies.torque_limits`)."""
+class TorqueLimitSettings(NamedTuple):
+    """What paths and stops leave of the torque limits."""
 
-LINEARISED = 1e-3
-"""Share of a torque limit that is kept for the terms of second order of a step. Without it, the torques of 60
-runs of `benchmarks.studies.torque_limits` exceeded their limits by up to a ten-thousandth."""
+    length: float = 0.2
+    """Length as which a torque counts that is as large as its limit, in arm lengths. With 1, paths beside
+    postures that cannot be held had a hundredth of each limit left for motion, and 62 of 75 arms, not 67,
+    reached a target that moves on (`benchmarks.studies.torque_limits`)."""
+
+    linearised: float = 1e-3
+    """Share of a torque limit that is kept for the terms of second order of a step. Without it, the torques
+    of 60 runs of `benchmarks.studies.torque_limits` exceeded their limits by up to a ten-thousandth."""
+
+    max_stopping: float = 300.0
+    """Largest number of steps of a stop within torque limits."""
+
+    least_mass: float = 1e-4
+    """Mass that counts beside that of the arm, relative to the mean of the joints: enough for a matrix that
+    is positive definite in spite of rounding."""
+
+    hardest_share: float = 0.98
+    """Share of the torques that slow an arm down that its hardest stop takes; the rest is for terms of
+    second order."""
+
+    slowing_share: float = 0.8
+    """Share of the torques that slow an arm down on which an approach relies; the rest is for other
+    postures."""
 
 
-MAX_STOPPING = 300.0
-"""Largest number of steps of a stop within torque limits."""
-
-LEAST_MASS = 1e-4
-"""Mass that counts beside that of the arm, relative to the mean of the joints: enough for a matrix that is
-positive definite in spite of rounding."""
-
-HARDEST_SHARE = 0.98
-"""Share of the torques that slow an arm down that its hardest stop takes; the rest is for terms of second
-order."""
-
-SLOWING_SHARE = 0.8
-"""Share of the torques that slow an arm down on which an approach relies; the rest is for other postures."""
+TORQUE_LIMIT = TorqueLimitSettings()
 
 
 class Stop(NamedTuple):
@@ -84,9 +90,9 @@ class Overload(NamedTuple):
 class TorqueLimits:
     """The torques that hold an arm still, within limits.
 
-    Torques count in metres, as distances do: a torque as large as its limit is `TORQUE_LENGTH` arm lengths.
-    So a path keeps a twentieth of each limit in reserve where it can, as it keeps a hundredth of the length
-    of the arm away from obstacles.
+    Torques count in metres, as distances do: a torque as large as its limit is `TORQUE_LIMIT.length` arm
+    lengths. So a path keeps a twentieth of each limit in reserve where it can, as it keeps a hundredth of
+    the length of the arm away from obstacles.
 
     Args:
         arm: the arm, whose masses are known.
@@ -98,7 +104,7 @@ class TorqueLimits:
         self._limits = effort
         self._effort = (1.0 - VIOLATION_ROUNDING) * effort  # what counts as none is kept, too
         self._limited = np.flatnonzero(np.isfinite(effort))
-        self._length = TORQUE_LENGTH * arm.length
+        self._length = TORQUE_LIMIT.length * arm.length
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
@@ -260,8 +266,8 @@ class StepTorques:
     def _hardest_stop(self, start: Array, moving: Array) -> Array:
         """Return the steps of a stop that takes all torque at each posture."""
         steps = np.zeros((0, len(moving)))
-        while len(steps) < MAX_STOPPING and (share := self._slowing(start, moving)) < 1.0:
-            moving = (1.0 - HARDEST_SHARE * share) * moving
+        while len(steps) < TORQUE_LIMIT.max_stopping and (share := self._slowing(start, moving)) < 1.0:
+            moving = (1.0 - TORQUE_LIMIT.hardest_share * share) * moving
             start = start + moving
             steps = np.vstack([steps, moving])
         return steps
@@ -280,11 +286,11 @@ class StepTorques:
         return bool(outside or np.any(np.abs(changes) > brake + LIMIT_ROUNDING))
 
     def _slowing(self, positions: Array, moving: Array) -> float:
-        """Return the share of its speed that a moving arm can lose in a step, at least 1 / `MAX_STOPPING`."""
+        """Return the share of its speed that an arm can lose in a step, one in `max_stopping` at least."""
         share = self.slowing(positions, moving, moving)
         if self._bounds.brake is not None and np.any(moving):
             share = min(share, 1.0 / float(np.max(np.abs(moving) / self._bounds.brake)))
-        return max(share, 1.0 / MAX_STOPPING)
+        return max(share, 1.0 / TORQUE_LIMIT.max_stopping)
 
     def slowing(self, positions: Array, way: Array, moving: Array | None = None) -> float:
         """Return by how much an arm that moves along a way can slow down in a step, relative to the way.
@@ -307,12 +313,13 @@ class StepTorques:
     def approach(self, way: Array) -> Array:
         """Return the largest step along a way, (nv,), from which the arm can still stop at its end.
 
-        The torques at its beginning count; `SLOWING_SHARE` of them.
+        The torques at its beginning count; `TORQUE_LIMIT.slowing_share` of them.
         """
         if not np.any(way):
             return way
-        slowing = np.array([SLOWING_SHARE * self.slowing(self._positions, way) + 1.0 / MAX_STOPPING])
-        return np.asarray(farthest(np.ones(1), slowing) * way)
+        slowing = TORQUE_LIMIT.slowing_share * self.slowing(self._positions, way)
+        slowing += 1.0 / TORQUE_LIMIT.max_stopping
+        return np.asarray(farthest(np.ones(1), np.array([slowing])) * way)
 
     @cached_property
     def masses(self) -> Array:
@@ -328,7 +335,7 @@ class StepTorques:
     def inertia(self) -> Array:
         """The same, made positive definite in spite of rounding, (nv, nv)."""
         masses = self.masses
-        return masses + LEAST_MASS * float(np.trace(masses)) / len(masses) * np.eye(len(masses))
+        return masses + TORQUE_LIMIT.least_mass * float(np.trace(masses)) / len(masses) * np.eye(len(masses))
 
     def rows(self, dq: Array) -> tuple[Array, Array]:
         """Return the limits of the torques of steps near dq (nv,), as shares of the limits.
@@ -338,7 +345,7 @@ class StepTorques:
             least: smallest value of each row times the step, (2 r,).
         """
         limited = np.isfinite(self._effort)
-        effort = (1.0 - LINEARISED) * self._effort[limited]
+        effort = (1.0 - TORQUE_LIMIT.linearised) * self._effort[limited]
         masses = self.masses[limited] / (effort[:, None] * self._dt**2)
         rest = self.of(dq)[limited] / effort - masses @ dq
         return np.vstack([masses, -masses]), np.concatenate([-1.0 - rest, rest - 1.0])

@@ -21,9 +21,28 @@ Array = NDArray[np.float64]
 MAX_DEGREE = 5
 GAUSS_NODES = 12
 """Gauss nodes per piece of the arc length."""
-LENGTH_TOLERANCE = 1e-12
-"""Tolerance of the last terms of the series of a piece, relative to the total length."""
-_MIN_SPAN = 1e-14  # smallest distance of knots above rounding errors, relative to the whole range
+
+
+class CurveTolerances(NamedTuple):
+    """Which differences of curves are due to rounding."""
+
+    length: float = 1e-12
+    """Tolerance of the last terms of the series of a piece, relative to the total length."""
+
+    span: float = 1e-14
+    """Smallest distance of knots above rounding errors, relative to the whole range."""
+
+    end: float = 1e-9
+    """Distance beyond the ends at which arc lengths count as ends, relative to the length."""
+
+    plane: float = 1e-9
+    """Distance of coefficients of a plane curve from its plane, relative to the length."""
+
+    curvature: float = 1e-6
+    """Curvature times length below which a curve counts as straight."""
+
+
+TOLERANCES = CurveTolerances()
 
 
 Parts: TypeAlias = tuple[Array, Array, int]
@@ -68,12 +87,13 @@ def _checked_breaks(t: Array, k: int) -> Array:
     if end - begin <= SMALLEST_DISTANCE:
         raise CurveError("knots", f"the curve runs from knot {begin} to {end}; allowed: an increase")
     gaps = t[1:] - t[:-1]
-    wrong = (gaps != 0) & (gaps < _MIN_SPAN * (end - begin))
+    least = TOLERANCES.span
+    wrong = (gaps != 0) & (gaps < least * (end - begin))
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
         raise CurveError(
             f"knots {i} and {i + 1}",
-            f"{t[i]}, {t[i + 1]}; allowed: equal, or an increase by more than {_MIN_SPAN:g} of the whole",
+            f"{t[i]}, {t[i + 1]}; allowed: equal, or an increase by more than {least:g} of the whole",
         )
     wrong = (t[k:] == t[:-k]) & (t[k:] > begin) & (t[k:] < end)
     if wrong.any():
@@ -144,7 +164,7 @@ def measure(spline: SplineArrays) -> LengthArrays:
     """
     taylors = kernels.expand_spans(spline)
     refuse_standstill(spline, taylors)
-    return kernels.measure_length(spline, taylors, _RULE, LENGTH_TOLERANCE, rounding(spline.table[0]))
+    return kernels.measure_length(spline, taylors, _RULE, TOLERANCES.length, rounding(spline.table[0]))
 
 
 def rounding(coefficients: Array) -> float:
@@ -156,9 +176,6 @@ Made = TypeVar("Made", bound="Geometry")
 Lengths = Sequence[float] | NDArray[Any]
 
 _MIN_PIECES = 256  # minimum number of pieces of a curve in the search for the nearest point
-_END_TOLERANCE = 1e-9  # distance beyond the ends at which arc lengths count as ends, relative to the length
-_PLANE_TOLERANCE = 1e-9  # distance of coefficients of a plane curve from its plane, relative to the length
-_MIN_CURVATURE = 1e-6  # curvature times length below which a curve counts as straight
 _MAX_SAMPLES = 10_000_000
 
 
@@ -216,7 +233,7 @@ class Geometry:
         """
         change = max(stretch * self.length, rounding(coefficients))
         if not (
-            np.abs(coefficients).max() <= LARGEST_COORDINATE and change <= LENGTH_TOLERANCE * self.length
+            np.abs(coefficients).max() <= LARGEST_COORDINATE and change <= TOLERANCES.length * self.length
         ):
             return type(self)(self.knots, coefficients, self.degree)
         moved = object.__new__(type(self))
@@ -244,7 +261,7 @@ class Geometry:
 
     def __repr__(self) -> str:
         places = np.stack([self.start, self.end])
-        places[np.abs(places) < _END_TOLERANCE * self.length] = 0
+        places[np.abs(places) < TOLERANCES.end * self.length] = 0
         begin, end = (", ".join(f"{x:.4g}" for x in place) for place in places)
         spans = len(self._spline.breaks) - 1
         return (
@@ -278,7 +295,7 @@ class Geometry:
         offsets = self.coefficients - self.coefficients.mean(axis=0)
         # The covariance would square the rounding errors.
         normal = np.linalg.svd(offsets, full_matrices=len(offsets) < 3)[2][2]
-        return 2 if float(np.abs(offsets @ normal).max()) <= _PLANE_TOLERANCE * self.length else 3
+        return 2 if float(np.abs(offsets @ normal).max()) <= TOLERANCES.plane * self.length else 3
 
     def at(self, s: float | Lengths) -> Array:
         """Return points, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
@@ -314,7 +331,7 @@ class Geometry:
         u, shape = self._parameter(s)
         bending, v = self._bending(u)
         square = np.einsum("ni,ni->n", bending, bending)
-        bent = np.sqrt(square) * self.length > _MIN_CURVATURE * v**3
+        bent = np.sqrt(square) * self.length > TOLERANCES.curvature * v**3
         volume = np.einsum("ni,ni->n", bending, self._values(u, 3))
         torsion = np.divide(volume, square, out=np.zeros_like(v), where=bent & (self.dimension == 3))
         return _scalar(torsion, shape)
@@ -352,7 +369,7 @@ class Geometry:
 
     def _parameter(self, s: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         """Return the spline parameters (n,) at arc lengths, and the shape of the latter."""
-        slack = _END_TOLERANCE * self.length
+        slack = TOLERANCES.end * self.length
         if type(s) is float and -slack <= s <= self.length + slack:
             return kernels.parameters_at(self._arc, np.array([min(max(s, 0.0), self.length)])), ()
         try:

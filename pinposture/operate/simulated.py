@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm
 from pinposture.collision import Map, Mounting, Scene
-from pinposture.collision.mapping import SEEN, USUAL_CELL
+from pinposture.collision.mapping import MAPPING, SEEN
 from pinposture.collision.model import effective_scene
 from pinposture.control import Limits
 from pinposture.control.limits import cycle_of
@@ -95,7 +95,7 @@ class SimulatedArm:
         self._camera = None
         if camera is not None:
             self._camera = TipCamera(arm, known, camera)
-            self._map = Map(USUAL_CELL * arm.length, arm)
+            self._map = Map(MAPPING.cell * arm.length, arm)
             known = known.with_obstacles({SEEN: self._map.cells})
         self.scene = known
         self.tracker = Tracker(arm, limits=limits, scene=known, deadline=deadline)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Map, Scene
-from pinposture.collision.mapping import SEEN, USUAL_CELL
+from pinposture.collision.mapping import MAPPING, SEEN
 from pinposture.collision.model import effective_scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
@@ -504,7 +504,7 @@ class Driver:
             self._diagnose()
 
     def _new_map(self) -> Map:
-        resolution = self.settings.cloud_resolution or USUAL_CELL * self.arm.length
+        resolution = self.settings.cloud_resolution or MAPPING.cell * self.arm.length
         return Map(resolution, self.arm, forget=self.settings.forget or inf)
 
     def _map_measurement(self, measured: JointMeasurement) -> None:

@@ -43,7 +43,23 @@ Array = NDArray[np.float64]
 
 UNBOUNDED = 1e30  # represents an infinite bound in the quadratic program
 LARGEST_SETTING = 1e5  # of servos, other than torques; no gain overflows
-USUAL_FREQUENCY = 10.0  # of servos of an arm whose stiffness is not known [Hz]
+
+
+class ServoDesign(NamedTuple):
+    """How servos are chosen for an arm, unless they are given."""
+
+    frequency: float = 10.0
+    """Of servos of an arm whose stiffness is not known [Hz]."""
+
+    max_deflection: float = 0.01
+    """Of a servo due to joint friction and damping at speed 1, in joint units."""
+
+    friction_holds: float = 0.9999
+    """Impedance of dry friction (`solimp` of MuJoCo). With MuJoCo's 0.9, a joint that friction holds creeps
+    to its set point within seconds; tests/sim/test_sim_servos.py bounds it."""
+
+
+DESIGN = ServoDesign()
 
 
 class Gains(NamedTuple):
@@ -140,7 +156,7 @@ class Servos(Declared):
         # The squared frequencies of M x'' = -c diag(carried) x are c over the eigenvalues of `relative`.
         relative = matrices * scale[:, None] * scale[None, :]
         slowest = float(np.linalg.eigvalsh(relative)[:, -1].max())
-        turning = 2.0 * np.pi * (USUAL_FREQUENCY if self.frequency is None else self.frequency)
+        turning = 2.0 * np.pi * (DESIGN.frequency if self.frequency is None else self.frequency)
         stiffness = np.maximum(turning**2 * slowest * carried, least)
         return Gains(stiffness, 2.0 * self.damping / turning * stiffness)
 
@@ -193,10 +209,6 @@ def torques_within_limits(
 
 
 POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length, at least 1 m
-MAX_DEFLECTION = 0.01  # of a servo due to joint friction and damping at speed 1, in joint units
-FRICTION_HOLDS = 0.9999
-"""Impedance of dry friction (`solimp` of MuJoCo). With MuJoCo's 0.9, a joint that friction holds creeps to
-its set point within seconds; tests/sim/test_sim_servos.py bounds it."""
 
 N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass matrices
 MAX_LISTED = 6  # maximum number of links with the same fault in a warning
@@ -317,10 +329,10 @@ def build_plant_model(
         _check_control_points(arm, positions, data.site_xpos[sites], source)
         matrices.append(coupling.T @ full_mass_matrix(model, data) @ coupling)
     units = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, arm.characteristic_length, 1.0)
-    least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
+    least = (model.dof_frictionloss + model.dof_damping * units) / (DESIGN.max_deflection * units)
     servos, gains = _tuned(servos, arm, matrices, np.abs(coupling).T @ least, own)
     model.dof_frictionloss[columns] += servos.friction
-    model.dof_solimp[:, :2] = FRICTION_HOLDS
+    model.dof_solimp[:, :2] = DESIGN.friction_holds
     if contact is not None:
         add_contact(spec, arm, effective_scene(arm, scene), contact)
         model = _compiled_again(spec, model)
@@ -380,7 +392,7 @@ def _tuned(
         own: the joints that drives of the arm move among the independent ones, (nv,).
     """
     if servos.frequency is not None or arm.weight.stiffness is None:
-        tuned = servos if servos.frequency is not None else replace(servos, frequency=USUAL_FREQUENCY)
+        tuned = servos if servos.frequency is not None else replace(servos, frequency=DESIGN.frequency)
         return tuned, tuned.gains(matrices, least)
     springs = scaled(arm.stiffness, 1.0 / arm.drives.ratios)
     slowest = min(float(eigh(springs, each[np.ix_(own, own)], eigvals_only=True)[0]) for each in matrices)

@@ -15,7 +15,7 @@ import pinposture as pp
 from benchmarks.studies import torque_limits
 from pinposture.arm import smooth_configuration
 from pinposture.control.planner.path import EFFORT_SHARE
-from pinposture.control.torque_limits import LINEARISED, StepTorques
+from pinposture.control.torque_limits import TORQUE_LIMIT, StepTorques
 from pinposture.errors import InvalidValue, WeightUnknown
 
 HINGE = """<robot name="door">
@@ -228,11 +228,11 @@ def test_torques_of_a_step_are_those_of_pinocchio_and_their_rows_are_tangent_to_
     np.testing.assert_allclose(torques.of(dq), expected, atol=1e-9 * np.abs(expected).max())
     matrix, least = torques.rows(dq)
     room = matrix @ dq - least  # to the upper and to the lower limits, with a reserve of a thousandth
-    shares = expected / ((1.0 - LINEARISED) * effort)
+    shares = expected / ((1.0 - TORQUE_LIMIT.linearised) * effort)
     np.testing.assert_allclose(room, np.concatenate([1.0 + shares, 1.0 - shares]), rtol=1e-9)
     mass = np.tril(pin.crba(arm.model, data, q))
     mass = mass + np.tril(mass, -1).T
-    slopes = mass / dt**2 / ((1.0 - LINEARISED) * effort[:, None])
+    slopes = mass / dt**2 / ((1.0 - TORQUE_LIMIT.linearised) * effort[:, None])
     np.testing.assert_allclose(
         matrix, np.vstack([slopes, -slopes]), rtol=1e-9, atol=1e-9 * np.abs(slopes).max()
     )
