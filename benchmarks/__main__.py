@@ -31,6 +31,7 @@ SCRIPTS = (
     "editor",
     "holding",
     "identification",
+    "many_runs",
     "mapping",
     "moving_obstacles",
     "obstacle_joints",

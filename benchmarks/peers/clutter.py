@@ -97,7 +97,7 @@ def with_joints(problem: Problem, arm: Arm) -> Problem | None:
         curve = Curve.spline(np.vstack([state.origins[::2], tip, beyond]))
         with no_warnings():
             try:
-                ends.append(resolve_targets(arm, curve, placement="as_is").q)
+                ends.append(resolve_targets(arm, curve, placement="as_is", method="sequential").q)
             except PostureError:
                 return None
             if (

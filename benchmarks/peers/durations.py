@@ -55,7 +55,7 @@ LIMITS = ((1.0, 2.0), (1.0, 5.0), (1.0, 20.0), (1000.0, 5.0))
 EFFORTS = ((3.0, 1.2), (3.0, 2.0), (10.0, 1.2), (10.0, 2.0))
 """Limits of speed [rad/s], and of torque in relation to the largest one that gravity takes on a path."""
 
-JERKS, DISTANCES = (20.0, 50.0, 200.0), (0.02, 0.1, 0.3, 1.0, 2.5)
+JERKS, DISTANCES = (20.0, 50.0, 200.0), (0.003, 0.02, 0.1, 0.3, 1.0, 2.5)
 """Limits of jerk [rad/s^3], and distances that single joints move [rad]."""
 
 SHORT_CYCLE, DENSE = 0.001, 16

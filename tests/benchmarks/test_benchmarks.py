@@ -124,6 +124,16 @@ def test_every_problem_with_many_joints_is_solved_and_drawn(tmp_path: Path) -> N
 
 
 @pytest.mark.studies
+@pytest.mark.skipif(sys.platform != "linux", reason="the scheduler of Linux tells what processes did")
+def test_many_runs_use_both_processes() -> None:
+    found = printed("many_runs", "--runs", "9", "--portion", "4", "--modules", "2")
+    assert found["reached"] == found["runs"] == 9
+    assert found["processes"] == 2
+    assert 0.0 < found["cores_used"] <= 2.1  # what is read one after the other may overlap a little
+    assert len(found["memory"]) == len(found["child_memory"]) == 4  # at first, and after each portion
+
+
+@pytest.mark.studies
 def test_boxes_and_scans_of_them_are_equally_far() -> None:
     boxes, points, triangles = printed("scan_obstacles", "--boxes", "5", "--items", "4000").values()
     assert set(boxes) == set(points) == set(triangles)
