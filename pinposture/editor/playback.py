@@ -10,12 +10,14 @@ from threading import Event
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.editor.solver import Live, at_limit, errors_of
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
+from pinposture.motion.held import obstacle_motions
 from pinposture.motion.latest import EXPECTED_ERRORS, Latest, Outdated
 from pinposture.placement import Target
 from pinposture.task import Task
@@ -171,6 +173,17 @@ class Playback:
         if self._last_sample is None or self._last_sample[0] != at:
             self._last_sample = at, sample_at(self.motion, at)
         return self._last_sample[1]
+
+    @property
+    def carried(self) -> dict[str, pin.SE3]:
+        """Poses of the obstacles that the arm has held by then, by name, world frame."""
+        sample = self.sample
+        run = None if self.motion is None else self.motion.run
+        if sample is None or run is None or run.scene is None or not run.held:
+            return {}
+        moved = obstacle_motions(run.arm, run.q, run.held, run.scene, [sample.row])
+        obstacles = run.scene.obstacles
+        return {name: motion * obstacles[name].pose(np.zeros(3)) for name, (motion,) in moved.items()}
 
     def play(self, task: Task) -> None:
         """Play the motion of a task from where it is, or from its beginning if it has ended.

@@ -131,3 +131,31 @@ class Stages:
         if known is None:
             known = self._scenes[number, scene] = self._stages[number].scene(scene)
         return known
+
+
+def obstacle_motions(
+    arm: Arm, q: Array, held: Sequence[HeldObject], scene: Scene, rows: Sequence[int]
+) -> dict[str, list[pin.SE3]]:
+    """Return how far obstacles that an arm holds or carries have moved, by name, in rows of a motion.
+
+    Args:
+        arm: the arm.
+        q: configurations of the motion, (N, nq).
+        held: what it holds on the way.
+        scene: the scene at the start.
+        rows: the rows.
+
+    Returns:
+        Displacements from where the scene describes each, world frame.
+    """
+    stages = Stages(arm, held, lambda row: q[row], len(q))
+    names = {each.obstacle for each in held} | scene.carried.keys()
+    found: dict[str, list[pin.SE3]] = {name: [] for name in names & scene.obstacles.keys()}
+    for row in rows:
+        moved = stages.motion(row, q[row])
+        for name, motions in found.items():
+            carried = scene.carried.get(name)
+            if carried is not None:
+                moved[name] = frame_pose(arm, q[row], carried.frame) * carried.placement.inverse()
+            motions.append(moved.get(name, pin.SE3.Identity()))
+    return found

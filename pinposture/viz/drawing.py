@@ -22,6 +22,7 @@ from pinposture.collision import HalfSpace, Scene
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Run, Trajectory
+from pinposture.motion.held import obstacle_motions
 from pinposture.placement import Target
 from pinposture.viz import palette
 from pinposture.viz.body import (
@@ -348,12 +349,14 @@ class ShownObstacle(NamedTuple):
     """An obstacle and its visible part.
 
     Attributes:
+        name: its name.
         surface: its whole surface, world frame [m]; for a half-space, a plate that fits the picture.
         near: corners of the part in the picture, (k, 3) [m], world frame; empty if it is far away.
         cut: whether only a part is in the picture.
         hollow: whether the part is just the points `near`, rather than their convex hull.
     """
 
+    name: str
     surface: TriangleMesh
     near: Array
     cut: bool
@@ -388,18 +391,18 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
             corners = whole.vertices
             if not obstacle.geometry.convex:
                 inside = np.all((corners >= region[0]) & (corners <= region[1]), axis=1)
-                shown[name] = ShownObstacle(whole, corners[inside], not inside.all(), hollow=True)
+                shown[name] = ShownObstacle(name, whole, corners[inside], not inside.all(), hollow=True)
                 continue
             part = clip_to_box(corners, *region)
             if part is not corners and len(part):
                 least = np.minimum(low, part.max(axis=0)) - DRAWING.shown_part * size
                 most = np.maximum(high, part.min(axis=0)) + DRAWING.shown_part * size
                 part = clip_to_box(part, np.maximum(least, region[0]), np.minimum(most, region[1]))
-            shown[name] = ShownObstacle(whole, part, part is not corners)
+            shown[name] = ShownObstacle(name, whole, part, part is not corners)
     if planes:
         seen = np.vstack([points, shown_corners(list(shown.values()))])
         for name, plate in _half_space_plates(planes, seen, size, region).items():
-            shown[name] = ShownObstacle(hull_surface(plate), plate, True)
+            shown[name] = ShownObstacle(name, hull_surface(plate), plate, True)
     return [shown[name] for name in scene.standing if name in shown]
 
 
@@ -641,6 +644,37 @@ def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Tra
         Track(f"{path}/<object>", "material.color", "color", times[changed], colors, smooth=False),
         Track(path, "scale", "vector3", times[changed], sizes, smooth=False),
     ]
+
+
+def obstacle_tracks(
+    arm: Arm, shown: Timeline, scene: Scene | None, obstacles: Sequence[ShownObstacle]
+) -> list[Track]:
+    """Return the tracks of the obstacles that the arm holds or carries; they are drawn where they are first.
+
+    Args:
+        arm: the arm.
+        shown: the timeline.
+        scene: the scene at the start, or None.
+        obstacles: the obstacles that are drawn.
+    """
+    if scene is None or not (shown.run.held or scene.carried):
+        return []
+    moved = obstacle_motions(arm, shown.run.q, shown.run.held, scene, shown.rows.tolist())
+    kept = shown.key_rows
+    listed = []
+    for number, each in enumerate(obstacles):
+        if each.name in moved:
+            motions = moved[each.name]
+            since = [motion * motions[0].inverse() for motion in motions]
+            turns = same_signs(np.array([pin.SE3ToXYZQUAT(motion)[3:] for motion in since]))
+            places = np.array([motion.translation for motion in since])
+            listed += pose_tracks(obstacle_path(number), shown.key_times, places[kept], turns[kept])
+    return listed
+
+
+def obstacle_path(number: int) -> str:
+    """Return the path of an obstacle by its number among those drawn, 0-based."""
+    return f"{ROOT}/obstacles/obstacle_{number + 1:03d}"
 
 
 def moving_target_tracks(motion: Trajectory, playback: Timeline) -> list[Track]:

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.bodies import scene_at
 from pinposture.errors import InvalidValue, ViewerError
 from pinposture.motion import Run, Tracker, Trajectory
 from pinposture.motion.ros import world_frame
@@ -168,9 +169,10 @@ class FoxgloveViewer(Viewer):
             for row, pause in zip(shown.rows[shown.key_rows], pauses, strict=True):
                 moving = None if motion is None else Target(motion.targets[row], motion.target_mask[row])
                 status = {"status": run.status, "reason": run.reason, "mean_error": means[row]}
+                scene = None if self.scene is None else run.scene_in(row, self.scene)
                 with self._lock:  # not after a call of `show`
                     if not stop.is_set():
-                        self._put(run.q[row], self.target or moving, self.scene, None, status)
+                        self._put(run.q[row], self.target or moving, scene, None, status)
                 if stop.wait(pause):
                     break
 
@@ -205,12 +207,18 @@ class FoxgloveViewer(Viewer):
         again: bool,
     ) -> None:
         """Log the state at a time [ns], with all drawings if `again`, else those that have changed."""
-        if again or target is not self._drawn[0] or scene is not self._drawn[1]:
-            self._log("/scene", stamp, self._draw, target, scene, again)
+        placed = scene
+        invalid = ""
         try:
             q = self.arm.checked(q)
         except InvalidValue as error:
-            status = {"reason": str(error)} | status
+            invalid = str(error)
+        else:
+            placed = None if scene is None else scene_at(self.arm, q, scene)
+        if again or target is not self._drawn[0] or placed is not self._drawn[1]:
+            self._log("/scene", stamp, self._draw, target, placed, again)
+        if invalid:
+            status = {"reason": invalid} | status
         else:
             self._log("/tf", stamp, self._place, q, stamp)
             self._log("/joint_states", stamp, self._joints, q, stamp)

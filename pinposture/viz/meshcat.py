@@ -34,6 +34,7 @@ from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.kinematics import without_repeats
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
+from pinposture.collision.bodies import scene_at
 from pinposture.errors import InvalidValue, ViewerError
 from pinposture.motion import Run, Trajectory
 from pinposture.motion.words import headline
@@ -242,8 +243,8 @@ def add_moving_targets(
 def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) -> None:
     """Draw translucent obstacles."""
     opacity = THEME.sheer if len(shown) > DRAWING.many_obstacles else THEME.see_through
-    for number, each in enumerate(shown, start=1):
-        add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, THEME.obstacle, opacity)
+    for number, each in enumerate(shown):
+        add(viewer, drawing.obstacle_path(number), each.surface, THEME.obstacle, opacity)
 
 
 def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
@@ -353,7 +354,8 @@ def draw_scene(
     if motion is not None:
         seen = np.vstack([seen, motion.targets[motion.target_mask]])
         waypoints = palette.group_alike(motion, palette.shown_waypoints(motion))
-    obstacles = drawing.shown_obstacles(scene, seen)
+    first = None if scene is None else scene_at(arm, rows[0], scene)
+    obstacles = drawing.shown_obstacles(first, seen)
     set_camera(viewer, arm, np.vstack([seen, drawing.shown_corners(obstacles)]))
     add_arm(viewer, arm, rows[0])
     if target is not None:
@@ -365,6 +367,7 @@ def draw_scene(
     moving: list[Track] = []
     if shown is not None:
         moving = [*drawing.arm_tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
+        moving += drawing.obstacle_tracks(arm, shown, scene, obstacles)
         moving += [] if motion is None else drawing.moving_target_tracks(motion, shown)
     return DrawnScene(moving, bool(obstacles), waypoints)
 

@@ -267,6 +267,7 @@ class DrawnObstacle(NamedTuple):
     handle: viser.MeshHandle  # what draws it, in its own frame
     obstacle: Obstacle  # as it is drawn
     look: Obstacle  # in its own frame
+    carried: bool = False  # whether it is drawn where the arm has it in a motion
 
 
 class Obstacles:
@@ -304,8 +305,10 @@ class Obstacles:
         for name in [name for name in self._drawn if name not in listed]:
             self._drawn.pop(name).handle.remove()
         opacity = THEME.sheer if len(listed) > DRAWING.many_obstacles else THEME.see_through
+        carried = session.playback.carried
         for name, obstacle in listed.items():
             self._draw(name, obstacle, opacity, name == session.obstacle)
+            self._carry(name, carried.get(name))
         # Either a control point of the curve is selected, or an obstacle.
         chosen = session.obstacle
         selected = None if session.handle is not None or chosen is None else listed.get(chosen)
@@ -339,6 +342,16 @@ class Obstacles:
         if tuple(drawn.handle.color) != shade:
             drawn.handle.color = shade
         put(drawn.handle, opacity=opacity)
+
+    def _carry(self, name: str, pose: pin.SE3 | None) -> None:
+        """Show an obstacle where the arm has it in the motion that is played; None: where it is."""
+        drawn = self._drawn[name]
+        if pose is None and not drawn.carried:
+            return
+        at = drawn.obstacle.pose(self._scale.middle) if pose is None else pose
+        drawn.handle.position = at.translation
+        drawn.handle.wxyz = quaternions(at.rotation)
+        self._drawn[name] = drawn._replace(carried=pose is not None)
 
     def _add(self, name: str, obstacle: Obstacle, opacity: float) -> viser.MeshHandle:
         shape = self._surface(obstacle)
