@@ -66,7 +66,7 @@ CEILINGS = {
     "files of a drag": 44,  # 15
     "calls of the first step": 191,  # 140
     "switches between files of the first step": 90,  # 90
-    "calls of the second step": 49,  # 50
+    "calls of the second step": 48,  # 50
     "calls of the second step in a scene": 89,  # 80
     "calls of Task.load": 2086,  # 2500
     "calls of a cycle of perform": 136,  # 80

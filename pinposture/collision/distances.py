@@ -103,7 +103,8 @@ class TreeKinematics:
                 turn = self.turns[joint]
                 rotation = turn @ data.M.rotation @ turn.T
                 others[at, number] = [*rotation.ravel(), *(turn @ data.M.translation)]
-        return self._space.difference(self._space.origin, q) + offsets, others
+        plain = self._space.nq == self._space.nv  # then configurations are positions
+        return (q if plain else self._space.difference(self._space.origin, q)) + offsets, others
 
     def differentiate(
         self, placements: Placements, first: Indices, second: Indices, points: Array, normals: Array
