@@ -10,7 +10,7 @@ from pathlib import Path
 import typer
 
 from benchmarks.reproduce import command
-from benchmarks.studies import arms, clutter, cycles, headings, leader, methods, postures, scenes
+from benchmarks.studies import arms, clutter, cycles, headings, leader, methods, postures, repair, scenes
 from pinposture.cli.app import OPTIONS_OF_ARGUMENTS, Commands, add_verb
 
 STUDIES = {
@@ -20,6 +20,7 @@ STUDIES = {
     "headings": headings.run,
     "scenes": scenes.run,
     "clutter": clutter.run,
+    "repair": repair.run,
     "cycles": cycles.run,
     "leader": leader.run,
 }

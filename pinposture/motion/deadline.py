@@ -162,7 +162,7 @@ class PlannedStep:
             self._request = Request(self._controller, target, limits, previous)
             q = self._arm.integrate(state.q, previous)
             shared = self._shared_arm, self._shared
-            self._process.submit(_plan, shared, q, target, limits, previous, needed.attempt)
+            self._process.submit(_plan, shared, q, target, limits, previous, needed)
             return None, memory
 
     def _is_outdated(self, target: Target, planned: Target) -> bool:

@@ -8,6 +8,7 @@ from sampling import cases
 
 from benchmarks.cases.clutter import CLUTTER_MARGIN, KINDS_OF_CLUTTER, draw_problem
 from benchmarks.cases.situations import situation_arm
+from benchmarks.studies import repair
 from benchmarks.studies.clutter import by_kind, dense_clearance, solve_problem, study_clutter
 from pinposture.collision import CollisionModel, Scene, Sphere
 from pinposture.control import Geodesic
@@ -54,6 +55,15 @@ def test_the_summary_counts() -> None:
     assert row.plan_time.median == pytest.approx(run.plan_time + 1.0)
     assert row.found_by == {run.found_by: 1, "x": 1}
     assert row.clearance == pytest.approx(run.run_clearance - run.margin)
+
+
+@pytest.mark.long
+def test_a_path_that_a_ball_cuts_is_repaired_clear() -> None:
+    cut = repair.repair_path(1, draw_problem(situation_arm(), "posts", 1), Geodesic()).but(kind="posts")
+    assert cut.cut and cut.repaired and cut.room > -1e-4
+    assert cut.repaired_length >= cut.planned_length * 0.9
+    (row,) = repair.by_kind([cut, cut.but(cut=False)])
+    assert (row.cut, row.repaired) == (1, 1)
 
 
 def test_bad_questions_are_refused() -> None:

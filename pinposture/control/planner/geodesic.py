@@ -39,6 +39,7 @@ from pinposture.control.planner.plan import (
     PlanNeeded,
     find_path,
     is_small_change,
+    repair,
     replan,
     short_path,
     shortcut,
@@ -219,7 +220,9 @@ class Geodesic:
             attempt = 0
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
-        path = self._find_path(self._problem(progress.objective, now.state, now.bounds), attempt)
+        problem = self._problem(progress.objective, now.state, now.bounds)
+        rest = None if progress.path.blocked_by else _rest(progress, now.state)
+        path = self._find_path(problem, attempt, rest)
         return PathProgress.begin(timed_again(path, now.limits, effort=progress.timed.effort))
 
     def _is_clear_of_maps(self, now: _Situation, progress: PathProgress) -> bool:
@@ -227,19 +230,18 @@ class Geodesic:
         avoidance = now.avoidance(progress)
         if avoidance is None:
             return True
-        path = progress.path
-        ahead = path.offsets[int(progress.place) + 1 :] - path.offset_of(now.state, progress.place)
-        left = np.vstack([np.zeros((1, ahead.shape[1])), ahead])
         tolerated = MOTION_TOLERANCE * now.state.arm.length
         least = min(avoidance.margin, avoidance.clearance.minimum_at(now.state).distance) - tolerated
-        return avoidance.clearance.clear_of_maps(now.state.q, left, least)
+        return avoidance.clearance.clear_of_maps(now.state.q, _rest(progress, now.state), least)
 
-    def _find_path(self, problem: PlanningProblem, attempt: int = 0) -> JointPath:
+    def _find_path(self, problem: PlanningProblem, attempt: int = 0, rest: Array | None = None) -> JointPath:
+        """Return a path to the target; what is `rest` of the last one is repaired if that is possible."""
         if self.plans:
-            return find_path(problem, attempt)
+            path = None if rest is None else repair(problem, rest, attempt)
+            return find_path(problem, attempt) if path is None else path
         path = None if attempt or problem.objective.tasks else short_path(problem)
         if path is None:
-            raise PlanNeeded(attempt)
+            raise PlanNeeded(attempt, rest)
         return path
 
     def _problem(self, objective: Objective, state: ChainState, bounds: JointBounds) -> PlanningProblem:
@@ -639,7 +641,13 @@ class PromptGeodesic(Geodesic):
 
 
 def plan_from(
-    controller: Geodesic, arm: Arm, q: Array, target: Target, limits: Limits, previous: Array, attempt: int
+    controller: Geodesic,
+    arm: Arm,
+    q: Array,
+    target: Target,
+    limits: Limits,
+    previous: Array,
+    needed: PlanNeeded,
 ) -> PathProgress:
     """Plan for a step that raised `PlanNeeded`, in another process.
 
@@ -650,14 +658,17 @@ def plan_from(
         target: the target posture.
         limits: the limits of each step.
         previous: the step that leads to q, (nv,) [rad or m].
-        attempt: as in `PlanNeeded`.
+        needed: what the step raised, before `previous`.
 
     Returns:
         The progress at the start of the path, without objective and scene; see `adopt_plan`.
     """
     state = arm.chain_at(q)
     problem = controller._problem(controller.objective(arm, target), state, limits.for_arm(arm))
-    path = controller._find_path(problem, attempt)
+    rest = needed.rest
+    if rest is not None:
+        rest = np.vstack([np.zeros(arm.nv), rest[1:] - previous])
+    path = controller._find_path(problem, needed.attempt, rest)
     progress = PathProgress.begin(timed_again(path, limits), previous)
     bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
     timed = replace(progress.timed, path=progress.path.revised(**bare))
@@ -714,6 +725,13 @@ def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
     positions = state.raw_positions
     most = MAX_DEVIATION * state.arm.joint_units
     return bool(np.all((positions >= bounds.edges[0] - most) & (positions <= bounds.edges[1] + most)))
+
+
+def _rest(progress: PathProgress, state: ChainState) -> Array:
+    """Return displacements from a state near a path to waypoints ahead, (N + 1, nv); the first is zero."""
+    path = progress.path
+    ahead = path.offsets[int(progress.place) + 1 :] - path.offset_of(state, progress.place)
+    return np.vstack([np.zeros((1, ahead.shape[1])), ahead])
 
 
 def _within(progress: PathProgress, now: _Situation) -> PathProgress:

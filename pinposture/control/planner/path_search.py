@@ -60,6 +60,11 @@ PATIENT_TURNS = 16
 join with `JOIN_NODES`; and the number of turns of both trees before that. With a like rule for the last
 attempt, one of ten pipes had no solution."""
 
+REJOINED_FROM = (0.0, 0.05)
+"""How far before and behind what is in the way of a path a tree search joins it again, in shares of the path.
+Of 24 paths that a ball cut, the search joined eight with the first, four more with the second, and none more
+with 0.15 and 0.4; the others needed a withdrawal (`benchmarks.studies.repair`)."""
+
 TREE_STEP = 0.3
 PIECE_TURN = 0.1
 """Largest joint motion of an edge of the trees, and of a piece of the path when it is shortened, in
@@ -81,7 +86,18 @@ the whole arm bends equally far."""
 SHORTCUTS = 60
 """Number of attempted shortcuts."""
 
+EVEN_PIECE = 0.04
+EVEN_PIECES = (64, 384)
+ROUNDINGS = 12
+MAX_ROUNDING_HALVINGS = 4
+ROUNDED_AROUND = 4
+"""Joint motion of a piece of a rejoined path, in `Arm.joint_units`, and the least and largest number of them;
+how often each waypoint is moved towards the middle of its neighbours; how often that is halved where the
+curve is not clear; and for how many waypoints on each side. `make study STUDY=repair` tells whether the curve
+is clear, and how long the paths are."""
 
+
+RELAXATION = "relaxation"
 TREE_SEARCH = "tree search"
 WITHDRAWAL = "withdrawal"
 """Ways in which paths are found."""
@@ -92,7 +108,7 @@ class FoundPath(NamedTuple):
 
     Attributes:
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m].
-        found_by: `WITHDRAWAL` or `TREE_SEARCH`.
+        found_by: `WITHDRAWAL`, `TREE_SEARCH` or `RELAXATION`.
     """
 
     offsets: Array
@@ -161,6 +177,90 @@ class PathSearch:
     def is_trapped(self) -> bool:
         """Whether the last tree search has found an end trapped."""
         return bool(self._trapped.any())
+
+    def rejoin(self, path: Array) -> FoundPath | None:
+        """Return a path of which the part that is not clear is replaced and shortened; None if that fails.
+
+        A tree search joins the clear ends of that part; where these are so close to what is in the way that
+        it fails, others a little farther away; then the ends of the path, if need be withdrawn.
+
+        Args:
+            path: offsets from the start to the goal, (N + 1, nv), not all clear.
+        """
+        last = len(path) - 1
+        begin = self._clear_pieces(path)
+        end = last - self._clear_pieces(path[::-1])
+        for share in REJOINED_FROM:
+            apart = int(share * last)
+            first = max(begin - apart, 0)
+            second = min(end + apart, last)
+            joined = self._connect(path[first], path[second], JOIN_NODES)
+            if joined is not None:
+                part = self.shorten(FoundPath(joined, TREE_SEARCH)).offsets
+                whole = np.concatenate([path[:first], part, path[second + 1 :]])
+                return FoundPath(self._smoothed(whole), TREE_SEARCH)
+        found = self.connect() or self.withdraw()
+        if found is None:
+            return None
+        return FoundPath(self._smoothed(self.shorten(found).offsets), found.found_by)
+
+    def _smoothed(self, path: Array) -> Array:
+        """Return a path of even pieces, (M + 1, nv), whose corners are rounded as far as the curve is clear.
+
+        The arm follows the curve through the waypoints, which swings out at the corners of a path as found:
+        by up to 17 mm of an arm of 1 m. The shorter the pieces, the less it does.
+        """
+        lengths = np.abs(np.diff(path, axis=0) / self._units).max(axis=1)
+        places = np.append(0.0, np.cumsum(lengths))
+        count = int(np.clip(np.ceil(places[-1] / EVEN_PIECE), *EVEN_PIECES))
+        for finer in (1, 2, 4):
+            wanted = np.linspace(0.0, places[-1], finer * count + 1)
+            even = np.column_stack([np.interp(wanted, places, joint) for joint in path.T])
+            rounded = self._rounded(even)
+            if rounded is not None:
+                return rounded
+        return path
+
+    def _rounded(self, even: Array) -> Array | None:
+        """Return a path of even pieces with rounded corners; None if it or the curve is not clear."""
+        smooth = even.copy()
+        for _ in range(ROUNDINGS):
+            smooth[1:-1] = 0.25 * smooth[:-2] + 0.5 * smooth[1:-1] + 0.25 * smooth[2:]
+        places = np.arange(0.0, len(even) - 0.5, 0.5)
+        share = np.ones((len(even), 1))
+        for _ in range(MAX_ROUNDING_HALVINGS):
+            path = even + share * (smooth - even)
+            curve = JointPath(self.problem.objective, self._start.q, path)
+            close = self._close_pieces(curve.smooth_offset(places))
+            if not close:
+                return path if self.is_clear(path) else None
+            for piece in close:
+                waypoint = piece // 2
+                share[max(waypoint - ROUNDED_AROUND, 0) : waypoint + ROUNDED_AROUND + 2] *= 0.5
+        return None
+
+    def _close_pieces(self, path: Array, begin: int = 0) -> list[int]:
+        """Return the numbers of the straight motions between offsets, (N + 1, nv), that are not clear."""
+        size = len(path) - 1
+        if self.is_clear(path):
+            return []
+        if size == 1:
+            return [begin]
+        half = size // 2
+        return self._close_pieces(path[: half + 1], begin) + self._close_pieces(path[half:], begin + half)
+
+    def _clear_pieces(self, path: Array) -> int:
+        """Return how many straight motions between offsets, (N + 1, nv), are clear before one is not."""
+        begin = 0
+        size = len(path) - 1
+        while size > 1:  # the first that is not clear is among so many
+            half = size // 2
+            if self.is_clear(path[begin : begin + half + 1]):
+                begin = begin + half
+                size = size - half
+            else:
+                size = half
+        return begin
 
     # Withdrawal.
 

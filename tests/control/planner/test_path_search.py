@@ -16,9 +16,11 @@ import pinposture as pp
 from pinposture.collision import CollisionModel
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import PlanningProblem
+from pinposture.control.planner.geodesic import PromptGeodesic, plan_from
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import FoundPath, PathSearch
+from pinposture.control.planner.plan import PlanNeeded, repair
 from pinposture.control.planner.trajectory_optimization import Penalties, relax_path
 
 MARGIN = 0.005
@@ -159,6 +161,79 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
     _, relaxed = relax_path(objective, state.q, found.offsets, bounds.edges, penalties)
     assert relaxed.length < 0.8 * JointPath(objective, start, found.offsets).length
     assert smallest_distance(scene, relaxed.configurations) > MARGIN - 1e-3
+
+
+def cut_in_the_open(seed: int) -> tuple[JointPath, pp.Scene]:
+    """A direct path, and a ball on it that is clear of its ends."""
+    rng = np.random.default_rng(seed)
+    while True:
+        start, goal = (pp.arm.smooth_configuration(arm(), rng, 0.8) for _ in range(2))
+        path = pp.plan(arm().at(start), pp.Target.from_configuration(arm(), goal))
+        middle = arm().at(path.configuration(0.5 * path.end)).points[rng.integers(10, 20)]
+        scene = pp.Scene({"ball": pp.Sphere(tuple(middle), 0.05)}, self_collision=False, margin=MARGIN)
+        model = CollisionModel(arm(), scene)
+        if min(model.minimum(start).distance, model.minimum(goal).distance) > 2.0 * MARGIN:
+            return path, scene
+
+
+@pytest.mark.parametrize("seed", seeds(3))
+def test_a_path_that_is_cut_is_repaired_and_the_curve_through_it_is_clear(seed: int) -> None:
+    before, scene = cut_in_the_open(seed)
+    goal = before.configuration(before.end)
+    problem = search(scene, before.start, goal).problem
+    path = repair(problem, before.offsets)
+    assert path is not None and path.scene is scene
+    assert np.abs(path.configuration(path.end) - goal).max() < 1e-12
+    assert smallest_distance(scene, path.configurations) >= MARGIN - 1e-4
+    timed = pp.retime(path, pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02))
+    assert smallest_distance(scene, timed.configurations) >= MARGIN - 1e-4
+    # What is clear is handed over again once, and a goal that is not clear is for a new plan.
+    again = repair(problem, path.offsets, attempt=1)
+    assert again is not None and np.array_equal(again.offsets, path.offsets)
+    assert repair(problem, path.offsets) is None
+    inside = arm().at(goal).points[-1]
+    blocked = pp.Scene({"ball": pp.Sphere(tuple(inside), 0.05)}, self_collision=False, margin=MARGIN)
+    assert repair(search(blocked, before.start, goal).problem, before.offsets) is None
+
+
+@pytest.mark.long
+def test_a_path_that_a_map_cuts_on_the_way_is_repaired_and_not_planned_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before, scene = cut_in_the_open(0)
+    ball = scene.obstacles["ball"]
+    assert isinstance(ball, pp.Sphere)
+    mapped = pp.Map(0.02, reach=1.2)
+    among = pp.Scene({"map": mapped.cells}, self_collision=False, margin=MARGIN)
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
+    controller = pp.Geodesic(scene=among)
+    target = before.objective.target
+    q = before.start
+    memory = None
+    for _ in range(5):
+        step = controller.step(arm().at(q), target, limits, memory)
+        memory = step.memory
+        q = arm().integrate(q, step.dq)
+    monkeypatch.setattr("pinposture.control.planner.geodesic.find_path", None)
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    around = directions / np.linalg.norm(directions, axis=1)[:, None]
+    mapped.add_cloud(np.array(ball.center) + (ball.radius - 0.01) * around, None, 0.0)
+    now = among.updated({"map": mapped.cells})
+    step = controller.with_scene(now).step(arm().at(q), target, limits, memory)
+    path = step.memory.progress.path
+    assert path.found_by == "tree search" and path.scene is now
+    assert np.array_equal(path.start, q)
+    assert np.abs(path.configuration(path.end) - target.q).max() < 1e-12
+    assert smallest_distance(now, path.configurations) >= MARGIN - 1e-4
+    # In another process, it is repaired from where the arm will be.
+    prompt = PromptGeodesic(scene=now)
+    with pytest.raises(PlanNeeded) as raised:
+        prompt.step(arm().at(q), target, limits, memory)
+    after = arm().integrate(q, memory.dq)
+    planned = plan_from(controller.with_scene(now), arm(), after, target, limits, memory.dq, raised.value)
+    assert planned.path.found_by == "tree search"
+    ways = arm().integrate(planned.path.start, planned.path.offsets)
+    assert smallest_distance(now, ways) >= MARGIN - 1e-4
 
 
 def test_in_the_open_it_is_one_straight_motion() -> None:
