@@ -345,7 +345,7 @@ def shortcut(
 def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath | None:
     """Return the rest of a path, where what is in the way now is bypassed; None if no such path is found.
 
-    It is found in a tenth of the time of `find_path`, and not relaxed, so that it may be twice as long. A
+    It is found in a seventh of the time of `find_path`, and not relaxed, so that it may be twice as long. A
     search disregards tasks, so there is none with tasks.
 
     Args:
