@@ -30,6 +30,7 @@ SCRIPTS = (
     "coupled_joints",
     "drives",
     "editor",
+    "failures",
     "holding",
     "identification",
     "many_runs",

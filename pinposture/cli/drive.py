@@ -62,6 +62,11 @@ class DriverOptions:
         str | None, SURROUNDINGS("{ros2.driver.DriverSettings.cloud_resolution}", "LENGTH")
     ] = None
     forget: Annotated[str | None, SURROUNDINGS("{ros2.driver.DriverSettings.forget}", "TIME")] = None
+    max_cloud_age: Annotated[
+        str | None, SURROUNDINGS("{ros2.driver.DriverSettings.max_cloud_age}", "TIME")
+    ] = None
+    stale: Annotated[str, SURROUNDINGS("{ros2.driver.DriverSettings.stale}", "WHAT")] = "hold"
+    lock_after: Annotated[str | None, ROS("{ros2.driver.DriverSettings.lock_after}", "TIME")] = None
     touch: Annotated[
         str | None, SURROUNDINGS("Brake and hold if an effort differs by more from its model.", "TORQUE")
     ] = None
@@ -230,7 +235,7 @@ def run_robot(
     The node publishes joint_states, and with --camera clouds on the topic points, in the frame of the tip
     link. It takes commands as joint_trajectory_controller and JointGroupPositionController do. Its servos are
     soft: at 4 Hz, the tip sags by 16 mm. Set parameters to let joints fail, or messages come late or not at
-    all: stuck and limp (names of joints, separated by commas), latency (in s), silent.
+    all: stuck, limp and weak (names of joints, separated by commas), latency (in s), silent.
     """
     with hold_interrupt():
         from pinposture.arm.mjcf import load_mujoco

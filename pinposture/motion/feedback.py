@@ -128,7 +128,8 @@ class JointFailure(NamedTuple):
     Attributes:
         joint: its name in `Arm.joint_names`.
         kind: "stuck": it stands although its command has moved on. "astray": it is farther from its command
-            than its drive could be, as one that is limp or weak and falls, or that something pushes.
+            than its drive could be, as one that is limp or weak and falls, or that something pushes. With
+            torques that a tracker watches (`Touch`), "limp" and "weak" tell the first two from the last.
         position: where it is measured [rad or m].
         duration: for how long that has been so without interruption [s].
     """

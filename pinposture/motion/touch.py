@@ -55,6 +55,11 @@ class TouchSettings(NamedTuple):
 TOUCH = TouchSettings()
 
 
+LIMP = 0.25
+"""Torque of a drive below which it has none, in thresholds. In `benchmarks/studies/failures.py` a drive that
+gives 30 % of what weight needs is told from one that gives nothing."""
+
+
 def _threshold(name: str, value: object) -> float | dict[str, float] | None:
     if value is None:
         return None
@@ -196,6 +201,7 @@ class TouchDetector:
         self.reason = ""
         self.torques = np.zeros(self._arm.nv)
         self._filtered = np.zeros(self._arm.nv)
+        self._driven = np.zeros(self._arm.nv)  # measured torques, filtered
         self._readings: deque[Reading] = deque(maxlen=3)
         self._waited = 0.0
 
@@ -238,11 +244,27 @@ class TouchDetector:
         q = self._arm.configuration(now.positions)
         needed = self._arm.inverse_dynamics(q[None], velocity[None], acceleration[None])[0]
         share = 1.0 - exp(-2.0 * later.after / self._touch.time_constant)
+        self._driven = self._driven + share * (now.torques - self._driven)
         self._filtered = self._filtered + share * (needed - now.torques - self._filtered)
         self.torques = self.torques + share * (self._filtered - self.torques)
         joint = int(np.abs(self._excess).argmax())
         if not self.reason and self._excess[joint] != 0.0:
             self.reason = self._describe(joint)
+
+    def fault_of(self, joint: int) -> str:
+        """Return what is the matter with a joint that is not where its drive could be, by its torques.
+
+        Args:
+            joint: the degree of freedom.
+
+        Returns:
+            "limp": its drive has no torque. "weak": it has some, which explains how the joint moves.
+            "astray": something touches the arm, or its weight is too small for thresholds to tell.
+        """
+        threshold = self._thresholds[joint]
+        if self.reason or self._arm.outstretched_torques[joint] < threshold:
+            return "astray"
+        return "limp" if abs(self._driven[joint]) < LIMP * threshold else "weak"
 
     def way(self, limits: Limits) -> Array:
         """Return how far ahead of its command an arm that yields aims, (nv,) [rad or m]."""

@@ -787,8 +787,14 @@ class Tracker:
             harder = self.scene is not None and exceeded.startswith("acceleration")
             text = BRAKING_HARDER if harder else exceeded
             relaxed += (text,) * (text not in relaxed)
-        failures = feedback.failures
+        failures = tuple(self._told_apart(each) for each in feedback.failures)
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step, failures=failures)
+
+    def _told_apart(self, failure: JointFailure) -> JointFailure:
+        """Return a failure of a joint, with its kind as torques tell it."""
+        if self._touch is None or failure.kind != "astray":
+            return failure
+        return failure._replace(kind=self._touch.fault_of(self.arm.joint_names.index(failure.joint)))
 
     def _describe_sent(self, feedback: FeedbackState, decision: Decision, dq: Array) -> Step | None:
         """Return the step dq that was sent, as the controller described it; None if it computed none."""

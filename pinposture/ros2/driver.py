@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import inf
 from queue import Empty, SimpleQueue
@@ -28,6 +28,7 @@ from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.placement import Target, resolve_targets
 from pinposture.ros2.clouds import CloudFrames, read_points
 from pinposture.ros2.diagnostics import CycleTimes, diagnostics
+from pinposture.ros2.failures import POLLING, Locked, Outlook, Outlooks, WayIn, as_possible
 from pinposture.ros2.graph import latest_only, sensor_data
 from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Duration, Length, declared, one_of
@@ -55,6 +56,12 @@ ARRIVED = 0.01
 """Mean distance of the control points from the start of a motion at which it begins, in arm lengths, once the
 arm rests there: soft or sticking drives stop short of it."""
 
+STALE_SPEED = 0.25
+"""Share of the limits of velocity with which an arm moves on a stale map, if it does not hold."""
+
+OUTLOOK_PERIOD = 1.0
+"""Time between two looks at what is possible without locked joints [s], as for targets that are streamed."""
+
 STANDSTILL = 2.0
 """Time without a cycle after which a driver that shall end does not wait for one any longer [s]. Cycles stop
 with the clock of a simulation."""
@@ -75,10 +82,15 @@ class DriverSettings(Declared):
             the arm.
         forget: time constant with which the map forgets what is not seen again [s]; None: it does not.
         touch: how to notice from measured efforts that something touches the arm; None: it is not noticed.
+        lock_after: time for which a joint has to stick before it is locked, and the arm goes on without it
+            [s]; None: the arm holds until the joint moves.
+        max_cloud_age: age of the last cloud above which the map is stale [s], once there was one; None: it
+            never is.
+        stale: what the arm does on a stale map: "hold", or "slow": it moves with a quarter of its speed.
 
     Raises:
         InvalidValue: a number that is not positive.
-        UnknownName: another kind of command.
+        UnknownName: another kind of command, or another thing to do on a stale map.
     """
 
     rate: Annotated[float, CheckedBy(require_positive)] = 100.0
@@ -87,6 +99,9 @@ class DriverSettings(Declared):
     cloud_resolution: Length | None = None
     forget: Duration | None = None
     touch: Annotated[Touch | None, AS_GIVEN] = None
+    lock_after: Duration | None = None
+    max_cloud_age: Duration | None = None
+    stale: Annotated[Literal["hold", "slow"], one_of("stale", "hold", "slow")] = "hold"
 
 
 def usual_limits(arm: Arm, dt: float) -> Limits:
@@ -172,7 +187,11 @@ class Driver:
 
     Parameters of the node are the settings and `velocity`, `acceleration`, `jerk` [rad, m, s], with 0 for
     what was given at the start, and `hold`: the arm brakes and holds while it is true, and starts from where
-    it is measured when it is set to false. `max_age`, `hold` and the limits can be changed at any time.
+    it is measured when it is set to false. `locked` names joints that are left where they are, separated by
+    commas; joints that stick are added after `lock_after`. The arm then goes on to its target as nearly as
+    the others can, and diagnostics tell how near, and whether there is a way out. With `retreat` it comes out
+    by that way, to where it was when the driver began. `max_age`, `hold`, `locked`, `retreat` and the limits
+    can be changed at any time.
 
     The arm brakes and holds within its limits while measurements are missing, old, from the future or not
     finite, and while a cloud cannot be used: its frame is unknown, no point is finite, or the joints were not
@@ -184,7 +203,8 @@ class Driver:
     Attributes:
         arm: the arm.
         settings: its settings, with parameters of the node in place of what was given.
-        tracker: what computes the steps.
+        tracker: what computes the steps; another one when joints are locked.
+        locked: positions of the joints that are locked, by name [rad or m].
         times: how punctual the cycles are.
         status: that of the last cycle, as in `Report`.
         reason: why it is so; empty if all is well.
@@ -213,6 +233,8 @@ class Driver:
         require_instance("arm", arm, Arm, "an Arm")
         self.arm = arm
         self._node = node
+        self._retreats = False
+        self._to_lock: tuple[str, ...] | None = None  # names, until the joints are measured
         self._given = self._declare_parameters(settings or DriverSettings(), limits)
         self._frames = CloudFrames(arm)
         self._map = self._new_map()
@@ -220,13 +242,9 @@ class Driver:
         known = effective_scene(arm, scene)
         self._scene = replace(known, obstacles={**known.obstacles, SEEN: self._map.cells})
         self._period = 1.0 / self.settings.rate
-        self.tracker = Tracker(
-            arm,
-            limits=self._limits({}),
-            scene=self._scene,
-            deadline=0.5 * self._period,
-            touch=self.settings.touch,
-        )
+        self._speed = 1.0  # share of the limits of velocity
+        self.tracker = self._new_tracker(arm, self._scene)
+        self.locked: dict[str, float] = {}
         self.times = CycleTimes(self._period)
         self.status = "holding"
         self.reason = "no cycle yet"
@@ -238,14 +256,34 @@ class Driver:
         self._last_cycle = time.monotonic()
         self._posted: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._cloud_faults: dict[str, str] = {}
+        self._seen_at: float | None = None  # time of the last cloud in the map [s]
         self._waiting: dict[str, Any] = {}
         self._reading: Latest[dict[str, Cloud], dict[str, str]] = Latest(
             self._read_clouds, "pinposture-clouds", deliver=self._take_faults, merge=lambda a, b: a | b
         )
         self._placing: Latest[Curve, Target] = Latest(self._place, "pinposture-path", deliver=self._deliver)
+        self._outlooks = Outlooks()
+        self._outlook = ""
+        self._preparing = ""
+        self._wanted: Mapping[str, float] = self.locked
+        self._ahead: Latest[Locked, Outlook] = Latest(
+            self._look_ahead, "pinposture-outlook", deliver=self._pass_outlook_on, period=OUTLOOK_PERIOD
+        )
+        self._way_in = WayIn(arm)
+        self._stuck: set[str] = set()  # that cannot be locked
         self._target_fault = ""
         self._logged = ""
         self._connect(node)
+
+    def _new_tracker(self, arm: Arm, scene: Scene) -> Tracker:
+        """Return a tracker of the arm, of which some joints may be locked; takes seconds."""
+        return Tracker(
+            arm,
+            limits=self._limits({}),
+            scene=scene,
+            deadline=0.5 * self._period,
+            touch=self.settings.touch,
+        )
 
     # Parameters.
 
@@ -278,19 +316,33 @@ class Driver:
                 "forget", settings.forget, "time constant of the map [s]; 0: it forgets nothing"
             ),
             touch=settings.touch,
+            lock_after=declare_optional(
+                "lock_after",
+                settings.lock_after,
+                "time after which a stuck joint is locked [s]; 0: never",
+            ),
+            max_cloud_age=declare_optional(
+                "max_cloud_age", settings.max_cloud_age, "age of clouds that makes the map stale [s]; 0: none"
+            ),
+            stale=declare("stale", settings.stale, "hold or slow: what to do on a stale map", True),
         )
         self._bounds = {
             name: declare(name, 0.0, f"limit of all joints [{unit}]; 0: as given at the start")
             for name, unit in (("velocity", "1/s"), ("acceleration", "1/s^2"), ("jerk", "1/s^3"))
         }
         self._hold = declare("hold", False, "whether the arm brakes and holds")
+        self._to_lock = self._lockable(declare("locked", "", "joints that are left where they are")) or None
+        declare("retreat", False, "whether the arm comes out without its locked joints")
         dt = 1.0 / self.settings.rate
         return usual_limits(self.arm, dt) if limits is None else replace(limits, dt=dt)
 
     def _limits(self, changes: dict[str, float]) -> Limits:
         """Return the limits with parameters, of which some are changed."""
         bounds = {name: value for name, value in (self._bounds | changes).items() if value != 0.0}
-        return replace(self._given, **bounds)
+        limits = replace(self._given, **bounds)
+        if self._speed == 1.0:
+            return limits
+        return replace(limits, velocity=self._speed * limits.for_arm(self.arm).bound * self.settings.rate)
 
     def _change_parameters(self, parameters: list[Any]) -> Any:
         """Let changed parameters take effect; those that are refused leave all as they were."""
@@ -300,10 +352,19 @@ class Driver:
         bounds = {name: value for name, value in changed.items() if name in self._bounds}
         try:
             settings = replace(self.settings, max_age=changed.get("max_age", self.settings.max_age))
+            if "locked" in changed:
+                to_lock = self._lockable(changed["locked"])
+            if changed.get("retreat", False) and not self._retreats:
+                self._require_way_in()
             if bounds:
                 self.tracker.limits = self._limits(bounds)
         except PostureError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        if "locked" in changed:
+            self._to_lock = to_lock
+        if changed.get("retreat", self._retreats) != self._retreats:
+            self._retreats = changed["retreat"]
+            self._posted.put(self._change_retreat)
         self._bounds |= bounds
         self.settings = settings
         self._joints.max_age = settings.max_age
@@ -395,20 +456,25 @@ class Driver:
         """Set the target; that of a motion ends.
 
         Raises:
-            InvalidValue: it does not fit the arm, or the arm follows a guide; the former one stays.
+            InvalidValue: it does not fit the arm, or the arm follows a guide or retreats; the former one
+                stays.
         """
-        self._require_no_guide("target", target)
-        self.tracker.update(target)
+        self._require_free("target", target)
+        self.tracker.update(as_possible(self.tracker.arm, target) if self.locked else target)
         self._performance = None
+        if self.locked:
+            self._look_again(False)
         self._target_fault = ""
 
     def perform(self, motion: JointTrajectory) -> None:
         """Move to the start of a motion, rest there, and perform it; it waits while the arm holds.
 
         Raises:
-            InvalidValue: it does not fit the arm, or the arm follows a guide.
+            InvalidValue: it does not fit the arm, joints are locked, or the arm follows a guide.
         """
-        self._require_no_guide("motion", motion)
+        self._require_free("motion", motion)
+        if self.locked:
+            raise InvalidValue("motion", motion, f"none while joints are locked: {', '.join(self.locked)}")
         self._performance = Performance(self.arm, motion.matched(self.arm).sampled(self._period))
         self._target_fault = ""
 
@@ -421,9 +487,137 @@ class Driver:
         self._performance = None
         self._guide = guide
 
-    def _require_no_guide(self, name: str, value: object) -> None:
+    def _require_free(self, name: str, value: object) -> None:
         if self._guide is not None:
             raise InvalidValue(name, value, "none while an operator or another guide leads the arm")
+        if self._retreats:
+            raise InvalidValue(name, value, "none while the parameter retreat is true")
+
+    # Joints that fail.
+
+    def _lockable(self, given: str) -> tuple[str, ...]:
+        """Return the names of joints, separated by commas, that are to be locked.
+
+        Raises:
+            PostureError: they cannot be.
+        """
+        names = tuple(name.strip() for name in given.split(",") if name.strip())
+        if names:
+            self.arm.with_locked(dict.fromkeys(names, 0.0))
+        return names
+
+    def _lock_stuck(self) -> None:
+        """Have joints locked that stick for long enough."""
+        patience = self.settings.lock_after
+        if patience is None or self._preparing or self._to_lock is not None:
+            return
+        known = {*self.locked, *self._stuck}
+        stuck = [
+            each.joint
+            for each in self.tracker.report.failures
+            if each.kind == "stuck" and each.duration >= patience and each.joint not in known
+        ]
+        if stuck:
+            from rclpy.parameter import Parameter
+
+            names = ", ".join([*self.locked, *stuck])
+            (answer,) = self._node.set_parameters([Parameter("locked", value=names)])
+            if not answer.successful:
+                self._stuck |= set(stuck)
+                self._node.get_logger().error(f"it cannot be locked: {answer.reason}")
+
+    def _lock(self, q: Array) -> None:
+        """Have the arm prepared without joints that are to be locked, at a configuration, (nq,)."""
+        names = self._to_lock
+        if names is None:
+            return
+        self._to_lock = None
+        measured = dict(zip(self.arm.joint_names, self.arm.positions(q).tolist(), strict=True))
+        positions = {name: self.locked.get(name, measured[name]) for name in names}
+        if positions == self.locked:
+            return
+        self._wanted = positions
+        locked = self.arm.with_locked(positions) if positions else self.arm
+        self._preparing = f"the arm is prepared without {', '.join(names) or 'locked joints'}"
+        self._ahead.ask(self._situation(locked, positions, q, self._retreats))
+
+    def _situation(self, arm: Arm, positions: dict[str, float], q: Array, leave: bool) -> Locked:
+        target = self.tracker.target
+        limits = self._limits({})
+        return Locked(self.arm, arm, positions, q, target, self._scene, limits, self._way_in.rows, leave)
+
+    def _look_ahead(self, locked: Locked, outdated: Event) -> Outlook:
+        """Prepare a tracker, if other joints are locked, and find what is possible. Runs in a thread."""
+        if locked.arm is not self.tracker.arm:
+            tracker = self._new_tracker(locked.arm, locked.scene)
+            while not (self.tracker.at_rest or outdated.wait(POLLING)):
+                pass
+            self._posted.put(lambda: self._take_over(locked, tracker))
+        if not locked.positions:
+            return Outlook(None, None, "no joint is locked")
+        return self._outlooks.find(locked, outdated)
+
+    def _take_over(self, locked: Locked, tracker: Tracker) -> None:
+        """Go on with another tracker from where the last one has sent the arm, at rest."""
+        drives = self.arm.drives
+        try:
+            sent = drives.joint_positions(dict(zip(drives.names, self.tracker.positions, strict=True)))
+        except InvalidValue:  # nothing was sent yet
+            sent = self.arm.positions(locked.q)
+        for name, position in locked.positions.items():
+            sent[self.arm.joint_names.index(name)] = position
+        tracker.limits = self._limits({})
+        tracker.restart(dict(zip(drives.names, drives.positions(sent).tolist(), strict=True)))
+        target = self.tracker.target
+        if target is not None:
+            tracker.update(as_possible(locked.arm, target))
+        self.tracker = tracker
+        self.locked = dict(locked.positions)
+        self._stuck = set()
+        self._performance = None
+        if locked.positions is self._wanted:
+            self._preparing = ""
+        self._outlook = "searched for" if self.locked else ""
+
+    def _pass_outlook_on(self, done: Done[Locked, Outlook]) -> None:
+        """Pass an outlook on to the cycle; called in the thread."""
+        self._posted.put(lambda: self._take_outlook(done))
+
+    def _take_outlook(self, done: Done[Locked, Outlook]) -> None:
+        """Tell an outlook, and begin the way out if it is wanted."""
+        outlook = done.answer
+        if outlook is None:
+            self._preparing = ""
+        if not (done.request.positions or done.request.leave or outlook is None):
+            return
+        self._outlook = str(done.error if outlook is None else outlook)
+        if done.request.leave and self._retreats and outlook is not None and outlook.way_out is not None:
+            motion = outlook.way_out.sampled(self._period)
+            self._performance = Performance(self.tracker.arm, motion)
+
+    def _require_way_in(self) -> None:
+        """Raise InvalidValue if the arm cannot be asked to retreat."""
+        if self._guide is not None:
+            raise InvalidValue("retreat", True, "false while an operator or another guide leads the arm")
+        if not self.locked or self._preparing:
+            raise InvalidValue("retreat", True, "false while no joint is locked; send ~/posture instead")
+
+    def _change_retreat(self) -> None:
+        """Have a way out searched for, or end it."""
+        self._performance = None
+        if self._retreats:
+            self._look_again(True)
+
+    def _look_again(self, leave: bool) -> None:
+        """Have looked what is possible now, or for the way out."""
+        if self._preparing:  # it is looked for then
+            return
+        q = self._configuration(self._joints.measurement(self._now()))
+        if q is None:
+            self._outlook = "not searched for: the joints were not measured"
+            return
+        self._outlook = "searched for"
+        self._ahead.ask(self._situation(self.tracker.arm, self.locked, q, leave))
 
     # Clouds.
 
@@ -462,6 +656,8 @@ class Driver:
 
         def take() -> None:
             faults = {**self._cloud_faults, **found}
+            times = [cloud.time for frame, cloud in done.request.items() if not found[frame]]
+            self._seen_at = max(times, default=self._seen_at)
             self._cloud_faults = {frame: fault for frame, fault in faults.items() if fault}
 
         self._posted.put(take)
@@ -478,24 +674,30 @@ class Driver:
             self._joints.forget()
             self._map = self._new_map()
             self._mapped_until = 0
+            self._seen_at = None
             self.times.latencies.clear()
             passed = self._period
         measured = self._joints.measurement(now)
-        self._map_measurement(measured)
+        q = self._configuration(measured)
+        if q is not None:
+            self._map_measurement(q, measured.stamp)
+            self._way_in.add(q)
+            self._lock(q)
         self._pass_clouds_on(now)
         self._run_posted()
         self._take_cells()
-        held = self._reason_to_hold(measured)
+        stale = self._stale(now)
+        self._slow_down(STALE_SPEED if stale else 1.0)
+        held = self._reason_to_hold(measured, stale)
         if self._guide is not None:
-            held = self._guide.lead(
-                self.tracker, self._configuration(measured), self._scene, self._period, held
-            )
+            held = self._guide.lead(self.tracker, q, self._scene, self._period, held)
         self._step(None if held else measured, passed)
         report = self.tracker.report
         before = self.status
         self.status = report.status
         self.reason = held or report.reason
         self._located = self._located or report.tracking_error is not None
+        self._lock_stuck()
         if self._located:
             self._commands.publish(self._command())
             if measured.stamp:
@@ -507,12 +709,11 @@ class Driver:
         resolution = self.settings.cloud_resolution or MAPPING.cell * self.arm.length
         return Map(resolution, self.arm, forget=self.settings.forget or inf)
 
-    def _map_measurement(self, measured: JointMeasurement) -> None:
-        """Tell the map where the arm is, for clouds of that time."""
-        q = self._configuration(measured)
-        if q is not None and measured.stamp > self._mapped_until:
-            self._map.measure(q, measured.stamp / NANOSECONDS)
-            self._mapped_until = measured.stamp
+    def _map_measurement(self, q: Array, stamp: int) -> None:
+        """Tell the map where the arm is, for clouds of that time [ns]."""
+        if stamp > self._mapped_until:
+            self._map.measure(q, stamp / NANOSECONDS)
+            self._mapped_until = stamp
 
     def _configuration(self, measured: JointMeasurement) -> Array | None:
         """Return the measured configuration, (nq,); None if it cannot be used."""
@@ -535,15 +736,40 @@ class Driver:
             except PostureError as error:  # a target that does not fit
                 self._refuse_target(error)
 
-    def _reason_to_hold(self, measured: JointMeasurement) -> str:
+    def _cloud_age(self, now: int) -> float | None:
+        """Return the age of the last cloud in the map at a time [ns], in seconds; None: there was none."""
+        return None if self._seen_at is None else now / NANOSECONDS - self._seen_at
+
+    def _stale(self, now: int) -> str:
+        """Return why the map is stale; empty if it is not."""
+        age = self._cloud_age(now)
+        most = self.settings.max_cloud_age
+        if age is None or most is None or age <= most:
+            return ""
+        return f"the map is stale: the last cloud is {age:.3g} s old; at most {most:.3g} s are allowed"
+
+    def _reason_to_hold(self, measured: JointMeasurement, stale: str) -> str:
         """Return why the arm is to brake and hold, whatever the tracker says; empty if it is not."""
-        if self._stopping:
-            return "the driver ends"
-        if measured.reason:
-            return measured.reason
-        for frame, fault in self._cloud_faults.items():
-            return f"a cloud in frame {frame!r} is refused: {fault}"
-        return "the parameter hold is true" if self._hold else ""
+        clouds = [
+            f"a cloud in frame {frame!r} is refused: {why}" for frame, why in self._cloud_faults.items()
+        ]
+        waits = self._retreats and self._performance is None
+        reasons = (
+            "the driver ends" if self._stopping else "",
+            measured.reason,
+            *clouds,
+            stale if self.settings.stale == "hold" else "",
+            "the parameter hold is true" if self._hold else "",
+            self._preparing,
+            f"the arm is to retreat; way out: {self._outlook}" if waits else "",
+        )
+        return next(filter(None, reasons), "")
+
+    def _slow_down(self, share: float) -> None:
+        """Move within a share of the limits of velocity."""
+        if share != self._speed:
+            self._speed = share
+            self.tracker.limits = self._limits({})
 
     def _step(self, measured: JointMeasurement | None, passed: float) -> None:
         """Let the tracker take a step after a time [s]; without a measurement, it brakes and holds."""
@@ -593,13 +819,18 @@ class Driver:
         """End the threads."""
         self._reading.close()
         self._placing.close()
+        self._ahead.close()
 
     # Diagnostics.
 
     def _diagnose(self) -> None:
         """Publish what the driver does, and why."""
-        measured = self._joints.measurement(self._now())
+        now = self._now()
+        measured = self._joints.measurement(now)
+        stale = self._stale(now)
         level = 0 if self.status in ("moving", "converged") and not self._target_fault else 1
+        if self.locked or stale:
+            level = 1
         if measured.reason or self._cloud_faults:
             level = 2
         report = self.tracker.report
@@ -612,8 +843,12 @@ class Driver:
             "tracking error": report.tracking_error,
             "violated": "; ".join(report.violated_constraints),
             "failing joints": "; ".join(map(str, report.failures)),
+            "locked joints": "; ".join(f"{name} at {at:.4g}" for name, at in self.locked.items()),
+            "without them": self._outlook,
             "target": self._target_fault or ("given" if self.tracker.target is not None else "none"),
             "cells seen by cameras": len(self._map.cells.points),
+            "age of the last cloud": self._cloud_age(now),
+            "stale": stale,
             "refused clouds": "; ".join(f"{frame}: {why}" for frame, why in self._cloud_faults.items()),
             "cycles": self.times.cycles,
             "missed cycles": self.times.missed,

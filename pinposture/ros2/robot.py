@@ -28,6 +28,10 @@ MOST_CATCHING_UP = 5
 """Largest number of cycles that the robot makes at once to keep up with the clock; time is lost beyond it."""
 
 
+FAILURES = ("stuck", "limp", "weak")
+"""How joints fail, as arguments of `Plant.fail`, and parameters of a robot."""
+
+
 @declared()
 class RobotSettings(Declared):
     """How a simulated robot works.
@@ -118,9 +122,9 @@ class SimulatedRobot:
     `points` (PointCloud2, in the frame of the tip link), and takes commands of both kinds, on the topics of
     `COMMANDS`.
 
-    Parameters of the node, which can be changed at any time: `stuck` and `limp`, names of joints that fail,
-    separated by commas; `latency`, by which messages of JointState come late [s]; `silent`, whether they do
-    not come at all.
+    Parameters of the node, which can be changed at any time: `stuck`, `limp` and `weak`, names of joints that
+    fail as `Plant.fail` says, separated by commas; `latency`, by which messages of JointState come late [s];
+    `silent`, whether they do not come at all.
 
     Attributes:
         arm: the arm.
@@ -178,7 +182,8 @@ class SimulatedRobot:
         from std_msgs.msg import Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
-        for name, value in {"stuck": "", "limp": "", "latency": self._latency, "silent": False}.items():
+        given = {**dict.fromkeys(FAILURES, ""), "latency": self._latency, "silent": False}
+        for name, value in given.items():
             node.declare_parameter(name, value)
         node.add_on_set_parameters_callback(self._change_parameters)
         reliable = latest_only(True)
@@ -199,10 +204,10 @@ class SimulatedRobot:
         changed = {each.name: each.value for each in parameters}
         names = {
             key: [name.strip() for name in changed.get(key, self._node.get_parameter(key).value).split(",")]
-            for key in ("stuck", "limp")
+            for key in FAILURES
         }
         try:
-            self.plant.fail(*([name for name in names[key] if name] for key in ("stuck", "limp")))
+            self.plant.fail(*([name for name in names[key] if name] for key in FAILURES))
         except PostureError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self._latency = changed.get("latency", self._latency)

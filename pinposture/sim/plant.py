@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 
 RUNAWAY = 1e3  # joint speed at which a simulation ends as unstable [rad/s or m/s]
 STUCK_DAMPING = 1e9  # of a joint that is stuck: 100 N m move it by 1e-7 rad/s [N m s/rad or N s/m]
+WEAK = 0.3  # share of the torque by which weight loads a joint at most that a weak drive gives
 TRIALS = 6  # maximum number of iterations on the set of saturated servos before the quadratic program
 
 
@@ -123,21 +124,31 @@ class Plant:
         compensation[np.sort(self._driven)] = self.model.coupling.T @ own
         return compensation
 
-    def fail(self, stuck: Collection[str] = (), limp: Collection[str] = ()) -> None:
+    def fail(
+        self, stuck: Collection[str] = (), limp: Collection[str] = (), weak: Collection[str] = ()
+    ) -> None:
         """Let joints fail from now on; joints that failed before and are not named work again.
 
         Args:
             stuck: names of joints that do not move any more.
             limp: names of joints whose drives have no torque any more.
+            weak: names of joints whose drives have no more than `WEAK` of the torque by which weight loads
+                them in the outstretched arm.
 
         Raises:
             UnknownName: a joint that no drive moves.
         """
         names = self.model.arm.drives.names
         columns = dict(zip(names, self.model.columns, strict=True))
-        for name in (*stuck, *limp):
+        for name in (*stuck, *limp, *weak):
             require_known("joint with a drive", name, names)
         self._limits = np.array(self.model.torque_limits)
+        if weak:
+            arm = self.model.arm
+            loads = WEAK * np.abs(arm.drives.torques(arm.outstretched_torques))
+            for name in weak:
+                at = columns[name]
+                self._limits[at] = min(self._limits[at], loads[names.index(name)])
         self._limits[[columns[name] for name in limp]] = 0.0
         self._model.dof_damping[:] = self._free_damping
         self._model.dof_damping[[columns[name] for name in stuck]] = STUCK_DAMPING

@@ -247,3 +247,35 @@ def test_an_arm_of_unknown_weight_feels_nothing_and_says_so():
         Tracker(arm, limits=LIMITS, touch=pp.Touch(threshold=1.0))
     with pytest.raises(InvalidValue, match="touch"):
         Tracker(heavy(), limits=LIMITS, touch=0.5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["limp", "weak", "astray"])
+def test_torques_tell_a_limp_joint_from_a_weak_one_and_from_one_that_is_pushed(kind):
+    """The arm is moved by Pinocchio's forward dynamics, on drives like springs that bear its weight."""
+    arm = pp.Arm.from_template("RyRz", modules=2, link_lengths=(0.2, 0.2)).with_payload(0.1)
+    data = arm.model.createData()
+    tracker = Tracker(arm, limits=LIMITS, touch=pp.Touch())
+    tracker.update(pp.Target.from_configuration(arm, np.zeros(arm.nv)))
+    q, v = np.zeros(arm.nv), np.zeros(arm.nv)
+    weight = torques = needed(arm, q, v, v)
+    inertia = np.diagonal(pin.crba(arm.model, data, q)).copy()
+    share = {"limp": 0.0, "weak": 0.3}.get(kind, np.inf)
+    step = 2e-4
+    for cycle in range(200):
+        tracker.step(q, torques=torques)
+        if tracker.report.failures:
+            break
+        for _ in range(round(DT / step)):
+            torques = needed(arm, q, 0.0 * v, 0.0 * v) + inertia * (
+                100.0 * (tracker.positions - q) - 10.0 * v
+            )
+            felt = np.zeros(arm.nv)
+            if cycle > 20 and kind == "astray":
+                felt = arm.at(q).jacobians[0].T @ np.array([0.0, 0.0, -20.0])
+            elif cycle > 20:
+                torques[0] = np.clip(torques[0], -share * abs(weight[0]), share * abs(weight[0]))
+            v = v + step * np.asarray(pin.aba(arm.model, data, q, v, torques + felt))
+            q = q + step * v
+    assert {each.kind for each in tracker.report.failures} == {kind}
+    assert kind == "astray" or [each.joint for each in tracker.report.failures] == [arm.joint_names[0]]

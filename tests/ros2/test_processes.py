@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -69,7 +70,7 @@ def test_two_processes_move_a_soft_arm_to_a_curve_and_end_well(
         assert robot.returncode == 0
 
 
-def test_the_time_of_the_simulation_a_camera_and_a_joint_that_sticks(
+def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_sticks(
     graph: Any, arm_file: Path, tmp_path: Path
 ) -> None:
     from rclpy.parameter import Parameter
@@ -80,9 +81,10 @@ def test_the_time_of_the_simulation_a_camera_and_a_joint_that_sticks(
     # Within reach of the arm, 0.2 m long: the map ends where nothing can be near it.
     pp.Scene({"wall": pp.Box((0.26, 0.0, 0.0), (0.05, 0.6, 0.6))}).save(scene)
     watch = Watch(graph, arm, "watch_2")
+    options = ("--rate", 50, "--lock-after", "0.5 s", "--", "--ros-args", "-p", "use_sim_time:=true")
     with (
         started(tmp_path, "robot", arm_file, "--frequency", 20, "--clock", "--camera", "--scene", scene),
-        started(tmp_path, "drive", arm_file, "--", "--ros-args", "-p", "use_sim_time:=true") as driver,
+        started(tmp_path, "drive", arm_file, *options) as driver,
     ):
         assert graph.run(lambda: watch.states and watch.status is not None, 60.0)
         assert watch.states[-1].header.stamp.sec < 1000  # not the time of this computer
@@ -91,17 +93,55 @@ def test_the_time_of_the_simulation_a_camera_and_a_joint_that_sticks(
         target = watch.aim(0.15)
         assert graph.run(lambda: np.abs(watch.positions - 0.15).max() < 0.01, 30.0), watch.status
         assert np.linalg.norm(watch.points - target.points, axis=1).max() < 5e-3
-        client = AsyncParameterClient(watch.node, "/robot")
-        assert graph.run(client.services_are_ready, 20.0)
-        stuck = arm.drives.names[3]
-        answer = client.set_parameters([Parameter("stuck", value=stuck)])
-        assert graph.run(answer.done, 20.0)
-        assert answer.result().results[0].successful
-        watch.aim(-0.3)
+        robot_says = AsyncParameterClient(watch.node, "/robot")
+        driver_says = AsyncParameterClient(watch.node, "/pinposture")
+
+        def set_to(client: Any, name: str, value: Any) -> Any:
+            assert graph.run(client.services_are_ready, 20.0)
+            answer = client.set_parameters([Parameter(name, value=value)])
+            assert graph.run(answer.done, 20.0)
+            return answer.result().results[0]
+
+        refused = set_to(driver_says, "retreat", True)
+        assert not refused.successful and "no joint is locked" in refused.reason
+        assert "no joint of the chain is called 'elbow'" in set_to(driver_says, "locked", "elbow").reason
+        column = 3
+        stuck = arm.drives.names[column]
+        assert set_to(robot_says, "stuck", stuck).successful
+        target = watch.aim(-0.3)
         words = f"joint '{stuck}' does not follow its command"
         assert graph.run(lambda: words in watch.status.message, 30.0), watch.status
         assert watch.status.level == b"\x01"
-        answer = client.set_parameters([Parameter("stuck", value="")])
+
+        # It is locked, and the arm goes on, as near to its target as was foretold.
+        words = "the target is reached to"
+        found = graph.run(lambda: watch.value("without them").startswith(words), 120.0)
+        assert found, watch.value("without them")
+        assert watch.value("locked joints").startswith(f"{stuck} at 0.15")
+        assert "a way out of" in watch.value("without them"), watch.status
+        q = np.full(arm.nq, -0.3)
+        q[column] = watch.positions[column]
+        near = pp.Target.from_points(arm, target.points).mean_distance(arm.at(q).points)
+
+        def error() -> float:
+            return target.mean_distance(watch.points)
+
+        assert graph.run(lambda: error() < near, 30.0), watch.status  # others make up for the joint
+        assert graph.run(lambda: watch.status.message.startswith("stalled"), 30.0), watch.status
+        foretold = float(re.search(r"to ([.\d]+) mm", watch.value("without them"))[1])
+        assert 1e3 * error() == pytest.approx(foretold, abs=2.0)
+
+        # Out, by the way that it came; then with the joint again.
+        assert set_to(driver_says, "retreat", True).successful
+        others = np.arange(arm.nv) != column
+        assert graph.run(lambda: np.abs(watch.positions[others]).max() < 0.02, 60.0), watch.status
+        assert abs(watch.positions[column] - 0.15) < 0.01
+        assert set_to(driver_says, "retreat", False).successful
+        mend = [sys.executable, EXAMPLES / "set_parameter.py", "/robot", "stuck", ""]
+        subprocess.run(mend, env=os.environ | environment(tmp_path), check=True, timeout=60)
+        assert set_to(driver_says, "locked", "").successful
+        assert graph.run(lambda: not watch.value("locked joints"), 30.0), watch.status
+        watch.aim(-0.3)
         assert graph.run(lambda: np.abs(watch.positions + 0.3).max() < 0.01, 30.0), watch.status
         assert driver.poll() is None
 

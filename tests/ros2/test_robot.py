@@ -96,6 +96,19 @@ def test_a_stuck_joint_stands_and_a_limp_one_has_no_torque_until_they_work_again
 
 
 @pytest.mark.long
+def test_a_weak_drive_gives_a_share_of_what_weight_needs() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=3)
+    plant = Plant(build_plant_model(arm, Servos(frequency=8.0)), np.zeros(arm.nv), 0.01)
+    plant.fail(weak=arm.drives.names[:1])
+    for _ in range(100):
+        assert plant.advance(np.zeros(arm.nv))
+    data = arm.model.createData()
+    needed = pin.computeGeneralizedGravity(arm.model, data, np.zeros(arm.nv))  # stretched out, level
+    assert abs(plant.torques[0]) == pytest.approx(0.3 * abs(needed[0]), rel=1e-6)
+    assert plant.positions[0] > 0.3  # down, about +y
+
+
+@pytest.mark.long
 def test_a_limp_arm_falls_as_a_free_pendulum_does(arm: pp.Arm) -> None:
     """Without torques, energy is kept: what falls gains as much speed as Pinocchio's energies say."""
     model = build_plant_model(arm, Servos(frequency=8.0, timestep=1e-4))

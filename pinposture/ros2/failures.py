@@ -1,0 +1,189 @@
+"""What an arm can still do without a joint that fails, and the way out: found in another process."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from threading import Event
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.collision import Scene
+from pinposture.control import Limits, plan, retime
+from pinposture.control.limits import cycle_of
+from pinposture.errors import PostureError
+from pinposture.motion import JointTrajectory
+from pinposture.motion.latest import Outdated
+from pinposture.motion.processes import BackgroundProcess, Interrupted
+from pinposture.placement import Target
+from pinposture.task import can_retreat
+from pinposture.units import length_text
+
+Array = NDArray[np.float64]
+
+STEP = 0.05
+"""Motion of a joint from one posture of the way in to the next, in `Arm.joint_units`. `can_retreat` checks
+the motion between them, and halves it where that is not clear."""
+
+MOST_POSTURES = 2000
+"""Largest number of postures of the way in; beyond it every second one is forgotten."""
+
+SEARCH_TIME = 30.0
+"""Time after which no other way out is searched beside the way in [s]. In the study of retreats an answer
+took 17 s at most."""
+
+AIM_TIME = 5.0
+"""The same for the posture nearest to the target [s]: where it is out of reach, all of this time is taken."""
+
+POLLING = 0.05
+"""Time between two looks whether an answer is there, or outdated [s]."""
+
+
+class WayIn:
+    """The way by which an arm came to where it is, without the detours from which it came back.
+
+    Args:
+        arm: the arm.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self.rows = np.zeros((0, arm.nq))
+
+    def add(self, q: Array) -> None:
+        """Add a measured configuration, (nq,), if the arm has moved since the last."""
+        rows = self.rows
+        if len(rows) and self._near(q, rows[-1:]).any():
+            return
+        near = np.flatnonzero(self._near(q, rows))
+        if len(near):
+            self.rows = rows[: int(near[0]) + 1]
+            return
+        self.rows = np.vstack([rows, q])
+        if len(self.rows) > MOST_POSTURES:
+            self.rows = self.rows[::2]
+
+    def _near(self, q: Array, rows: Array) -> NDArray[np.bool_]:
+        """Return which of configurations (n, nq) are near another one, (nq,)."""
+        apart = np.abs(self._arm.difference(q, rows)) / self._arm.joint_units
+        return np.asarray(apart.max(axis=1) < STEP)
+
+
+class Locked(NamedTuple):
+    """An arm with joints that do not move, and what it is to do.
+
+    Attributes:
+        whole: the arm whose joints all move.
+        arm: the arm with its locked joints.
+        positions: positions of the joints that do not, by name [rad or m].
+        q: the configuration, (nq,).
+        target: its target; None if it has none.
+        scene: what it keeps clear of.
+        limits: its limits.
+        way_in: configurations by which it came, from outside, (n, nq).
+        leave: whether it is to come out.
+    """
+
+    whole: Arm
+    arm: Arm
+    positions: Mapping[str, float]
+    q: Array
+    target: Target | None
+    scene: Scene
+    limits: Limits
+    way_in: Array
+    leave: bool
+
+
+class Outlook(NamedTuple):
+    """What an arm with locked joints can still do.
+
+    Attributes:
+        error: mean distance of its control points from the target where it comes closest [m]; None without a
+            target, or if it is to come out.
+        way_out: the motion to where it came from; None if there is none.
+        reason: why there is none; empty if there is.
+    """
+
+    error: float | None
+    way_out: JointTrajectory | None
+    reason: str
+
+    def __str__(self) -> str:
+        reached = "" if self.error is None else f"the target is reached to {length_text(self.error)}; "
+        if self.way_out is None:
+            return f"{reached}no way out was found: {self.reason}"
+        return f"{reached}a way out of {self.way_out.time[-1]:.3g} s"
+
+
+def as_possible(arm: Arm, target: Target) -> Target:
+    """Return a target that an arm with locked joints takes as nearly as it can: its points alone."""
+    return Target.from_points(arm, target.points, target.weights)
+
+
+def find_outlook(locked: Locked) -> Outlook:
+    """Find what an arm with locked joints can still do; takes seconds."""
+    error = None
+    arm = locked.arm
+    if locked.target is not None and not locked.leave:
+        target = as_possible(arm, locked.target)
+        path = plan(arm.at(locked.q), target, locked.scene, locked.limits, budget=AIM_TIME)
+        error = target.mean_distance(arm.chain_at(path.configuration(path.end)).points)
+    *others, last = locked.positions
+    held = {name: locked.positions[name] for name in others}
+    before = locked.whole.with_locked(held) if others else locked.whole
+    rows = np.vstack([locked.way_in, locked.q])
+    try:
+        (way,) = can_retreat(
+            before,
+            rows,
+            locked.scene,
+            last,
+            postures=[len(rows) - 1],
+            limits=locked.limits,
+            budget=SEARCH_TIME,
+        ).ways
+    except PostureError as refused:
+        return Outlook(error, None, str(refused))
+    if way.path is None:
+        return Outlook(error, None, way.reason)
+    timed = retime(way.path, locked.limits)
+    dt = cycle_of(locked.limits)
+    return Outlook(error, JointTrajectory.from_configurations(arm, timed.configurations, dt), "")
+
+
+class Outlooks:
+    """Finds outlooks in another process, which starts with the first one and takes seconds to."""
+
+    def __init__(self) -> None:
+        self._process: BackgroundProcess | None = None
+
+    def find(self, locked: Locked, outdated: Event) -> Outlook:
+        """Return an outlook.
+
+        Args:
+            locked: the arm.
+            outdated: set if it is not wanted any more.
+
+        Raises:
+            Outdated: it is not wanted any more.
+            PostureError: as `plan`, or the process was ended from outside.
+        """
+        if self._process is None:
+            self._process = BackgroundProcess()
+        process = self._process
+        process.submit(find_outlook, locked)
+        while not process.done():
+            if outdated.is_set():
+                process.interrupt()
+            time.sleep(POLLING)
+        try:
+            found: Outlook = process.result()
+        except Interrupted as ended:
+            raise Outdated from ended
+        except EOFError as ended:
+            raise PostureError("the process that looked for it was ended from outside") from ended
+        return found
