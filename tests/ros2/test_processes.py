@@ -126,10 +126,11 @@ def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_
         def error() -> float:
             return target.mean_distance(watch.points)
 
-        assert graph.run(lambda: error() < near, 30.0), watch.status  # others make up for the joint
-        assert graph.run(lambda: watch.status.message.startswith("stalled"), 30.0), watch.status
-        foretold = float(re.search(r"to ([.\d]+) mm", watch.value("without them"))[1])
-        assert 1e3 * error() == pytest.approx(foretold, abs=2.0)
+        foretold = 1e-3 * float(re.search(r"to ([.\d]+) mm", watch.value("without them"))[1])
+        assert foretold < near  # others make up for the joint
+        assert graph.run(lambda: error() < foretold + 1e-3, 60.0), watch.status
+        graph.run_for(0.5)
+        assert error() > foretold - 1e-3
 
         # Out, by the way that it came; then with the joint again.
         assert set_to(driver_says, "retreat", True).successful
