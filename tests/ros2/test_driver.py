@@ -6,6 +6,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -333,6 +334,19 @@ def test_a_cloud_of_a_link_becomes_an_obstacle_and_one_of_an_unknown_frame_holds
         assert graph.run(lambda fault=fault: fault in driver.reason), driver.reason
     publisher.publish(write_points(np.zeros((0, 3)), "world", robot.node.get_clock().now().to_msg()))
     assert graph.run(lambda: robot.at(target)), driver.reason
+
+    # No cloud comes any more: it holds, or is slow; with a cloud it goes on.
+    given = driver.settings
+    driver.settings = replace(given, max_cloud_age=0.5)
+    assert graph.run(lambda: driver.reason.startswith("the map is stale: the last cloud is")), driver.reason
+    assert driver.status == "holding"
+    driver.settings = replace(given, max_cloud_age=0.5, stale="slow")
+    assert graph.run(lambda: driver.status != "holding"), driver.reason
+    most = driver.tracker.limits.for_arm(arm).bound
+    np.testing.assert_allclose(most, 0.25 * VELOCITY * DT)
+    driver.settings = replace(given, max_cloud_age=60.0)
+    assert graph.run(lambda: np.allclose(driver.tracker.limits.for_arm(arm).bound, VELOCITY * DT))
+    driver.settings = given
     robot.node.destroy_publisher(publisher)
 
 
