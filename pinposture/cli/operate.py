@@ -32,7 +32,7 @@ from pinposture.cli.view import hold_interrupt
 if TYPE_CHECKING:
     from pinposture.collision import Scene
     from pinposture.control import Limits
-    from pinposture.operate import Operation
+    from pinposture.operate import Operation, SimulatedArm
 
 SIMULATION = Panel("The simulated arm")
 OPERATED = Panel("The operation")
@@ -71,6 +71,10 @@ class OperationOptions:
             "Drive a robot on ROS 2, as pinposture drive does, in place of a simulation.", flags="--ros"
         ),
     ] = False
+    task: Annotated[
+        str | None,
+        OPERATED("A task file for the same arm: the postures of its keyframes are the steps.", "TASK"),
+    ] = None
     speed: Annotated[
         float | None,
         OPERATED("Full speed of the tip, in m/s; default: 5 % of the length of the arm per second.", "SPEED"),
@@ -81,6 +85,7 @@ class OperationOptions:
 @examples(
     "pinposture operate arm.urdf --scene scene.toml",
     "pinposture operate arm.urdf --scene scene.toml --camera --frequency 10",
+    "pinposture operate arm.urdf --task task.toml",
     "pinposture operate arm.urdf --ros --velocity 0.5",
     "pinposture operate arm.urdf --ros -- --ros-args -r joint_states:=/arm/joint_states",
 )
@@ -106,6 +111,7 @@ def run(
     """
     with hold_interrupt():
         from pinposture.operate import Control, Operation
+        from pinposture.operate.ways import read_steps
 
     refuse_given({"--dt": limit_options.dt}, "nothing; the rate tells the cycle time")
     arm = arm_options.read(urdf)
@@ -113,6 +119,8 @@ def run(
     limits = read_limits(arm, limit_options, 1.0 / RATE)
     sys.setswitchinterval(SWITCH_INTERVAL)
     operation = Operation(arm, limits, Control(), operation_options.speed)
+    if operation_options.task is not None:
+        operation.steps += read_steps(arm, operation_options.task)
     compile_missing()
     if operation_options.ros:
         given = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
@@ -124,12 +132,14 @@ def run(
 
 
 @contextmanager
-def _page(operation: Operation, options: PageOptions) -> Iterator[None]:
+def _page(
+    operation: Operation, options: PageOptions, simulated: SimulatedArm | None = None
+) -> Iterator[None]:
     """Show a page while something else is done."""
     from pinposture.editor.ui.server import is_loopback
     from pinposture.operate import LivePage
 
-    page = LivePage(operation, options.host, options.port)
+    page = LivePage(operation, options.host, options.port, simulated)
     try:
         page.start()
         typer.echo(page.url)
@@ -144,6 +154,7 @@ def _page(operation: Operation, options: PageOptions) -> Iterator[None]:
         yield
     finally:
         page.close()
+        operation.close()
 
 
 def _drive(
@@ -190,7 +201,7 @@ def _simulate(
     stop = Event()
     before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with _page(operation, options):
+        with _page(operation, options, simulated):
             simulated.run(stop)
     finally:
         for each, handler in before.items():

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import as_number
+from pinposture._validation import as_number, require_whole
 from pinposture.errors import InvalidValue, PostureError
 
 Array = NDArray[np.float64]
@@ -33,16 +33,33 @@ DIRECTIONS = ("ahead", "left", "up")
 """Where a tip can be moved, in the order of `Order.direction`."""
 
 
+WISHES = ("keep", "next", "out")
+"""What the page that has control can ask for beside: to keep the posture, to plan the next step, or the way
+out of an arm with a joint that is stuck."""
+
+
+DONE = ("hold", "release", "ask", "give", *WISHES)
+"""What a message can be about."""
+
+
 class Order(NamedTuple):
     """What is held.
 
     Attributes:
         direction: shares of the full speed ahead, to the left and up, (3,), each from -1 to 1.
         override: share of the speed that the operator allows, from 0 to 1.
+        along: share of the speed along the way that is planned, from -1, back, to 1.
+        way: the number of that way.
     """
 
     direction: Array
     override: float
+    along: float = 0.0
+    way: int = 0
+
+
+MOST_WISHES = 20
+"""Number of wishes that wait at most."""
 
 
 class Control:
@@ -58,7 +75,8 @@ class Control:
 
     Messages of a page are objects of JSON with a key `do`: "hold" with shares `ahead`, `left`, `up` and
     `override`, "release", which a page also tells from time to time while nothing is held, "ask" for control,
-    and "give" it to the page that asks, or to none.
+    and "give" it to the page that asks, or to none. To drive the way that is planned, "hold" has its number
+    as `way`, and the share `along`; and `WISHES` prepare ways.
 
     Attributes:
         reason: why nothing counts as held; empty while something does.
@@ -71,6 +89,7 @@ class Control:
         self._order: Order | None = None
         self._heard = 0.0
         self._to_release = False
+        self._wishes: list[str] = []
         self.reason = "no page has control"
 
     def take(self, page: str, message: str | bytes, now: float) -> dict[str, Any]:
@@ -115,6 +134,18 @@ class Control:
             self._expire(now)
             return self._order
 
+    def lose(self, reason: str) -> None:
+        """Let what is held not count any more, until it was released, for a reason."""
+        with self._lock:
+            self._lose(reason)
+
+    def wishes(self) -> list[str]:
+        """Return what was asked for since the last call, of `WISHES`."""
+        with self._lock:
+            asked = self._wishes
+            self._wishes = []
+            return asked
+
     def _do(self, page: str, message: dict[str, Any], now: float) -> None:
         """Do what a message says."""
         what = message["do"]
@@ -134,8 +165,11 @@ class Control:
             self._to_release = False
             self.reason = "nothing is held"
         elif what == "hold" and not self._to_release:
-            self._order = Order(np.array([message[name] for name in DIRECTIONS]), message["override"])
+            direction = np.array([message[name] for name in DIRECTIONS])
+            self._order = Order(direction, message["override"], message["along"], message["way"])
             self.reason = ""
+        elif what in WISHES and len(self._wishes) < MOST_WISHES:
+            self._wishes.append(what)
 
     def _expire(self, now: float) -> None:
         """Lose what is held if the page has not told of it for too long."""
@@ -162,8 +196,8 @@ def _read(message: str | bytes) -> dict[str, Any]:
         read = json.loads(message)
     except (ValueError, RecursionError) as error:
         raise InvalidValue("message", message[:40], "an object of JSON") from error
-    if not isinstance(read, dict) or read.get("do") not in ("hold", "release", "ask", "give"):
-        allowed = 'an object with do: "hold", "release", "ask" or "give"'
+    if not isinstance(read, dict) or read.get("do") not in DONE:
+        allowed = f"an object with do: {', '.join(DONE)}"
         raise InvalidValue("message", str(read)[:40], allowed)
     if read["do"] != "hold":
         return {"do": read["do"]}
@@ -171,5 +205,7 @@ def _read(message: str | bytes) -> dict[str, Any]:
         name: as_number(name, read.get(name), "a number from -1 to 1", lambda x: -1.0 <= x <= 1.0)
         for name in DIRECTIONS
     }
+    along = as_number("along", read.get("along", 0.0), "a number from -1 to 1", lambda x: -1.0 <= x <= 1.0)
+    way = require_whole("way", read.get("way", 0), 0)
     override = as_number("override", read.get("override"), "a number from 0 to 1", lambda x: 0.0 <= x <= 1.0)
-    return {"do": "hold", "override": override, **shares}
+    return {"do": "hold", "override": override, "along": along, "way": way, **shares}

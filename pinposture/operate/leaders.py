@@ -39,6 +39,9 @@ class LeaderSettings(NamedTuple):
     """Bend of each joint, in `Arm.joint_units`, from which a posture is sought where there is none from the
     present one: a straight arm cannot tell to which side it is to bend."""
 
+    rejoined: float = 1e-6
+    """Distance from where a leader was at which it can go on, in `Arm.joint_units`."""
+
 
 LEADERS = LeaderSettings()
 
@@ -48,6 +51,7 @@ class TipLeader(Protocol):
 
     Attributes:
         acceleration: how fast the speed of the tip may change [m/s^2].
+        withdraws: whether it leads back along the path by which it came, by itself.
     """
 
     acceleration: float
@@ -63,6 +67,11 @@ class TipLeader(Protocol):
     @property
     def line(self) -> Array:
         """Points of the way that the tip was led, (n, 3) [m], world frame; none before it moves."""
+
+    withdraws: bool
+
+    def rejoin(self, q: Array) -> str:
+        """Go on from a configuration, (nq,), to which something else has led; return why it cannot."""
 
     def move(self, velocity: Array, scene: Scene) -> Target:
         """Move the tip for a cycle.
@@ -92,6 +101,8 @@ class SteeredTip:
     Raises:
         InvalidValue: not an arm on a feed, or a start that is not straight.
     """
+
+    withdraws = True
 
     def __init__(self, arm: Arm, limits: Limits, start: Array, speed: float) -> None:
         column = int(arm.chain.columns[0])
@@ -126,6 +137,13 @@ class SteeredTip:
         path = self._steering.path
         return np.asarray(path.at(np.linspace(0.0, path.length, 100)))
 
+    def rejoin(self, q: Array) -> str:
+        """Return why it cannot go on from a configuration, (nq,): it is off the path of the tip."""
+        away = np.abs(self._steering.arm.difference(self.q, q)) / self._steering.arm.joint_units
+        if away.max() <= LEADERS.rejoined:
+            return ""
+        return "the arm is off the path of its tip: drive the way back first"
+
     def move(self, velocity: Array, scene: Scene) -> Target:
         """Move the tip for a cycle; see `TipLeader.move`."""
         self._steering.scene = scene
@@ -153,6 +171,8 @@ class MovedTip:
         speed: the full speed [m/s].
     """
 
+    withdraws = False
+
     def __init__(self, arm: Arm, limits: Limits, start: Array, speed: float) -> None:
         self.acceleration = speed / LEADERS.easing
         self.q = arm.checked(start, "start")
@@ -167,6 +187,11 @@ class MovedTip:
     def line(self) -> Array:
         """Points of the way of the tip, (n, 3) [m], world frame; none before it moves."""
         return np.array(self._line).reshape(-1, 3)
+
+    def rejoin(self, q: Array) -> str:
+        """Go on from a configuration, (nq,); it always can."""
+        self.q = q
+        return ""
 
     def move(self, velocity: Array, scene: Scene) -> Target:
         """Move the tip for a cycle; see `TipLeader.move`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,14 +17,18 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.control.limits import cycle_of
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, PostureError
 from pinposture.motion import Report, Tracker
+from pinposture.motion.feedback import JointFailure
 from pinposture.operate.control import Control, Order
-from pinposture.operate.leaders import TipLeader, leader_of
+from pinposture.operate.leaders import MovedTip, TipLeader, leader_of
+from pinposture.operate.ways import NO_PLAN, WAYS, CurveAlong, NextStep, Planned, Ways, out_of, towards
+from pinposture.placement import Target
 from pinposture.placement.target import target_at
 from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
 
 
 class OperationSettings(NamedTuple):
@@ -40,7 +45,7 @@ class OperationSettings(NamedTuple):
 
     standing: float = 0.2
     """Time after which a tip that stands tries again [s]: to find that an arm of 41 joints cannot move takes
-    five times as long as to move it."""
+    half again as long as to move it, and at first five times as long."""
 
     latest: float = 4.0
     """Largest duration of a cycle that counts when the tip is braked, in nominal ones."""
@@ -50,6 +55,10 @@ class OperationSettings(NamedTuple):
 
 
 OPERATION = OperationSettings()
+
+
+LOCKING = "a joint that is stuck is being locked"
+"""Why the arm holds until it goes on without that joint."""
 
 
 class Shown(NamedTuple):
@@ -63,6 +72,10 @@ class Shown(NamedTuple):
         reason: why it holds, waits or is slower than asked for; empty if all is well.
         report: that of the tracker after the last cycle; None before it.
         line: points of the way of the tip, (n, 3) [m].
+        order: what was held; None: nothing.
+        led: the configuration to which the arm is led, (nq,); None before it is at its start.
+        planned: the way that is planned.
+        stuck: what is known of a joint that is stuck; empty if none is.
         time: when it was [s], by the clock of the operation.
     """
 
@@ -73,6 +86,10 @@ class Shown(NamedTuple):
     reason: str
     report: Report | None
     line: Array
+    order: Order | None
+    led: Array | None
+    planned: Planned
+    stuck: str
     time: float
 
 
@@ -91,6 +108,10 @@ class Operation:
         arm: the arm.
         control: what is held.
         kind: how the arm is led, in words; empty before it was measured.
+        ways: the way that is planned, to be driven while it is held.
+        steps: what the operator asks for one by one, postures that were kept included.
+        goes_on: whether the arm is exchanged for one without a joint that is stuck, once there is a way out;
+            else it holds as long as the tracker does.
         shown: the last cycle; may be read from any thread.
 
     Args:
@@ -117,6 +138,9 @@ class Operation:
         self.arm = arm
         self.control = control
         self.kind = ""
+        self.ways = Ways(limits)
+        self.steps: list[NextStep] = []
+        self.goes_on = False
         self._speed = OPERATION.speed * arm.length if speed is None else require_positive("speed", speed)
         self._limits = limits
         self._clock = clock
@@ -131,7 +155,25 @@ class Operation:
         self._drawn = -np.inf
         self._mode = "holds"
         self._reason = "no cycle yet"
-        self.shown = Shown(None, None, Scene(), self._mode, self._reason, None, np.zeros((0, 3)), clock())
+        self._led: Array | None = None
+        self._driven: list[Array] = []
+        self._next = 0
+        self._stuck: JointFailure | None = None
+        nothing = np.zeros((0, 3))
+        self.shown = Shown(
+            measured=None,
+            commanded=None,
+            scene=Scene(),
+            mode=self._mode,
+            reason=self._reason,
+            report=None,
+            line=nothing,
+            order=None,
+            led=None,
+            planned=self.ways.planned,
+            stuck="",
+            time=clock(),
+        )
 
     def lead(self, tracker: Tracker, measured: Array | None, scene: Scene, dt: float, held: str = "") -> str:
         """Set the target of a tracker for a cycle.
@@ -153,6 +195,8 @@ class Operation:
         if held or measured is None:
             self._velocity = np.zeros(3)
             hold = held
+        elif tracker.arm is not self.arm:
+            hold = LOCKING
         else:
             hold = self._decide(tracker, measured, scene, order, dt)
         if hold:
@@ -167,8 +211,36 @@ class Operation:
         if self._leader is not None and now - self._drawn > OPERATION.drawing:
             line = self._leader.line
             self._drawn = now
-        self.shown = Shown(measured, commanded, scene, self._mode, self._reason, report, line, now)
+        self.shown = Shown(
+            measured=measured,
+            commanded=commanded,
+            scene=scene,
+            mode=self._mode,
+            reason=self._reason,
+            report=report,
+            line=line,
+            order=order,
+            led=self._led,
+            planned=self.ways.planned,
+            stuck="" if self._stuck is None else str(self._stuck),
+            time=now,
+        )
         return hold
+
+    def reshape(self, curve: CurveAlong) -> None:
+        """Have a way planned to the shape of a curve along the arm. May be called from any thread."""
+        shown = self.shown
+        if shown.led is not None:
+            try:
+                find = towards(self.arm, curve.target(self.arm), self._limits, "the curve")
+            except PostureError as error:
+                logger.info("a curve that the arm cannot take: %s", error)
+                return
+            self.ways.ask("the curve", shown.led, shown.scene, find)
+
+    def close(self) -> None:
+        """End the thread in which ways are planned."""
+        self.ways.close()
 
     def _decide(self, tracker: Tracker, measured: Array, scene: Scene, order: Order | None, dt: float) -> str:
         """Set the target, mode and reason; return why the arm has to hold."""
@@ -181,6 +253,31 @@ class Operation:
             released = self.control.reason
         if not self._begun:
             return self._go_to_start(tracker, measured, order, released)
+        hold = self._attend(tracker.report, measured, scene)
+        if hold:
+            return hold
+        if self.ways.moving or (order is not None and order.along and not np.any(self._velocity)):
+            return self._drive(tracker, order, released, scene)
+        return self._jog(tracker, order, released, scene, dt)
+
+    def _attend(self, report: Report, measured: Array, scene: Scene) -> str:
+        """Attend to joints that are stuck, to wishes and to plans; return why the arm has to hold."""
+        self._watch_joints(report, measured, scene)
+        for wish in self.control.wishes():
+            self._prepare(wish, scene)
+        way = self.ways.poll(cast(Array, self._led))
+        if way is not None and way.arm is not self.arm:
+            self._go_on_without_joint(way.arm)
+            return LOCKING
+        return "" if self._stuck is None else f"{self._stuck}; {self.ways.planned.text}"
+
+    def _jog(self, tracker: Tracker, order: Order | None, released: str, scene: Scene, dt: float) -> str:
+        """Lead the tip; return why the arm has to hold."""
+        leader = cast(TipLeader, self._leader)
+        if order is not None and np.any(order.direction):
+            away = leader.rejoin(cast(Array, self._led))
+            if away:
+                return away
         wanted = np.zeros(3) if order is None else self._speed * order.override * order.direction
         waits = self._reason_to_wait(tracker.report)
         if order is not None and waits:
@@ -190,11 +287,15 @@ class Operation:
         self._ease(wanted, dt)
         if order is None and not np.any(self._velocity):
             return released
-        before = self._leader.q
-        tracker.update(self._leader.move(self._velocity, scene))
+        before = leader.q
+        tracker.update(leader.move(self._velocity, scene))
+        if leader.q is not before:
+            self._led = leader.q
+            self.ways.lead(self.arm, before, self._led, not leader.withdraws)
+            self._record(self._led)
         self._mode = "waits" if waits else "runs"
-        self._reason = waits or self._leader.reason or "; ".join(tracker.report.violated_constraints)
-        if self._leader.q is before and not waits:
+        self._reason = waits or leader.reason or "; ".join(tracker.report.violated_constraints)
+        if leader.q is before and not waits:
             self._mode = "stands"
             self._reason = self._reason.removeprefix("stands: ")
             self._velocity = np.zeros(3)
@@ -208,6 +309,9 @@ class Operation:
         start = target_at(self.arm.chain_at(leader.q), np.ones(self.arm.n_modules))
         away = start.mean_distance(self.arm.chain_at(measured).points)
         self._begun = away <= OPERATION.start * self.arm.length
+        if self._begun:
+            self._led = leader.q
+            self._record(leader.q)
         if order is None:
             go = (
                 ""
@@ -219,6 +323,87 @@ class Operation:
         self._mode = "goes to the start"
         self._reason = tracker.report.reason
         return ""
+
+    def _drive(self, tracker: Tracker, order: Order | None, released: str, scene: Scene) -> str:
+        """Drive the way that is planned, or back; return why the arm has to hold."""
+        rate = 0.0 if order is None else order.along * order.override
+        if order is not None and rate > 0.0 and order.way != self.ways.planned.number:
+            rate = 0.0
+            released = "another way is planned by now: release, look, and hold again"
+        waits = self._reason_to_wait(tracker.report)
+        target = self.ways.drive(0.0 if waits else rate, scene)
+        way = self.ways.way
+        if target is None or way is None:
+            return self._end_of_way(rate, waits or released)
+        tracker.update(target)
+        self._led = way.q
+        self._record(way.q)
+        self._mode = "waits" if waits else "stands" if way.reason else "runs"
+        self._reason = waits or way.reason or "; ".join(tracker.report.violated_constraints)
+        return ""
+
+    def _end_of_way(self, rate: float, otherwise: str) -> str:
+        """Stand at the end of a way as long as it is held; return why the arm has to hold."""
+        way = self.ways.way
+        if rate == 0.0 or way is None:
+            return otherwise if rate == 0.0 else "nothing can be driven back" if rate < 0.0 else NO_PLAN
+        self._mode = "stands"  # and takes the last target exactly
+        self._reason = "the arm is at the end of the way" if rate > 0.0 else "nothing more can be driven back"
+        return ""
+
+    def _record(self, q: Array) -> None:
+        """Keep a configuration, (nq,), in the record of the way in, or take back what was driven back."""
+        rows = self._driven
+        far = [float(np.abs(self.arm.difference(row, q) / self.arm.joint_units).max()) for row in rows[-2:]]
+        if len(far) == 2 and far[0] < far[1]:
+            rows.pop()
+        elif not far or far[-1] > WAYS.record:
+            rows.append(q)
+
+    def _prepare(self, wish: str, scene: Scene) -> None:
+        """Do what was asked for, one of `WISHES`."""
+        led = cast(Array, self._led)
+        if wish == "keep":
+            name = f"posture {len(self.steps) + 1}"
+            self.steps.append(NextStep(name, Target.from_configuration(self.arm, led)))
+            self.ways.say(f"{name} is kept")
+        elif wish == "next" and self.steps:
+            number = self._next % len(self.steps)
+            self._next = number + 1
+            name, target = self.steps[number]
+            words = f"step {number + 1} of {len(self.steps)}, {name}"
+            self.ways.ask(words, led, scene, towards(self.arm, target, self._limits, name))
+        elif wish == "next":
+            self.ways.say("there is no step: keep a posture, or give a task")
+        elif self._stuck is None:
+            self.ways.say("no joint is stuck")
+        else:
+            self.ways.say("whether the arm can come out is being looked for")
+            driven = np.array(self._driven)
+            find = out_of(self.arm, driven, self._stuck.joint, self._limits)
+            self.ways.ask(f"out, with {self._stuck.joint} locked", led, scene, find)
+
+    def _watch_joints(self, report: Report, measured: Array, scene: Scene) -> None:
+        """Notice a joint that is stuck, and look for the way out."""
+        if not self.goes_on or self._stuck is not None:
+            return
+        stuck = [each for each in report.failures if each.kind == "stuck"]
+        if stuck:
+            self._stuck = stuck[0]
+            self.control.lose(
+                "a joint is stuck; release, and hold again"
+            )  # what is held means another motion now
+            self._velocity = np.zeros(3)
+            self._led = measured
+            self.ways.forget()
+            self._prepare("out", scene)
+
+    def _go_on_without_joint(self, arm: Arm) -> None:
+        """Go on with an arm in which a joint is locked."""
+        self.arm = arm
+        self._stuck = None
+        self._leader = MovedTip(arm, self._limits, cast(Array, self._led), self._speed)
+        self.kind = "the tip is moved along straight lines, without the joint that is stuck"
 
     def _still_stands(self, order: Order) -> bool:
         """Return whether the tip could not move a moment ago as it is asked again."""

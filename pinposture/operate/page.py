@@ -8,6 +8,7 @@ import json
 import logging
 import time
 from collections.abc import Iterable
+from functools import partial
 from html import escape
 from importlib.resources import files
 from threading import Event, Thread
@@ -24,16 +25,22 @@ from pinposture.collision.model import describe_distance
 from pinposture.control.reach import room_to_limits
 from pinposture.editor.ui.arm import ArmDrawing
 from pinposture.editor.ui.page import IN_SIGHT, PAGE, STATUS_COLORS, camera_direction, framing, set_stage
-from pinposture.editor.ui.parts import color, framed_html, put
+from pinposture.editor.ui.parts import Drag, add_lines, color, framed_html, on_click, put, put_at
 from pinposture.editor.ui.server import Channel, serve
+from pinposture.errors import NoEquilibrium
 from pinposture.operate.control import CONTROL
 from pinposture.operate.operation import Operation, Shown
+from pinposture.operate.simulated import SimulatedArm
+from pinposture.operate.ways import WAYS, CurveAlong
 from pinposture.units import length_text
 from pinposture.viz.drawing import link_radius, shown_obstacles
 from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
+
+HANDLE_SIZE = 1.6
+"""Radius of control points, relative to that of the bars of the arm, so that they can be taken hold of."""
 
 CHANNEL_PATH = "/control"
 ALONE_PATH = "/controls"
@@ -60,6 +67,9 @@ class PageSettings(NamedTuple):
 
     old: float = 0.5
     """Age from which on the last cycle is called old [s]."""
+
+    pixel: int = 4
+    """Width of a pixel of the camera, in those of the page."""
 
     covered: float = 0.3
     """Share of the picture, from below, that the controls cover."""
@@ -146,6 +156,64 @@ def status_html(operation: Operation, shown: Shown, age: float) -> str:
     return text + framed_html("status", STATUS_COLORS[kind], escape(head), escape(reason), below) + "</div>"
 
 
+class CurveHandles:
+    """The control points of the curve along the arm, which are dragged; where the arm goes is a ghost."""
+
+    def __init__(self, server: viser.ViserServer, operation: Operation) -> None:
+        self._server = server
+        self._operation = operation
+        self._led: Array | None = None
+        self._curve: CurveAlong | None = None
+        self._balls: list[Any] = []
+        self._drags: list[Drag] = []
+        self._lines = add_lines(server, "/curve", WAYS.handles - 1, 0.25 * link_radius(operation.arm))
+
+    def show(self, shown: Shown) -> None:
+        """Bring them up to date: they follow the arm, unless one of them is dragged or its way is shown."""
+        led = shown.led
+        if led is None or led is self._led or any(drag.held for drag in self._drags):
+            return
+        self._led = led
+        self._curve = CurveAlong.of(self._operation.arm, led)
+        self._place(self._curve)
+
+    def _place(self, curve: CurveAlong) -> None:
+        """Put them where the control points are."""
+        if not self._balls:
+            self._make()
+        for ball, point in zip(self._balls, curve.points[1:], strict=True):
+            put_at(ball, point)
+        self._draw(curve)
+
+    def _make(self) -> None:
+        radius = HANDLE_SIZE * link_radius(self._operation.arm)
+        for number in range(1, WAYS.handles):
+            name = f"/handles/{number}"
+            ball = self._server.scene.add_icosphere(name, radius, color(THEME.active), cast_shadow=False)
+            self._balls.append(ball)
+            self._drags.append(Drag(self._do, ball, partial(self._ask, number), moves=True))
+
+    def _ask(self, number: int, drag: Drag) -> Any:
+        return partial(self._move, number, drag.place)
+
+    def _do(self, request: Any, _: str) -> None:
+        request()
+
+    def _move(self, number: int, place: Array) -> None:
+        """Move a control point to a place, (3,) [m], and have the way planned."""
+        if self._curve is None:
+            return
+        points = self._curve.points.copy()
+        points[number] = place
+        self._curve = self._curve._replace(points=points)
+        self._draw(self._curve)
+        self._operation.reshape(self._curve)
+
+    def _draw(self, curve: CurveAlong) -> None:
+        self._lines.points = np.stack([curve.points[:-1], curve.points[1:]], axis=1).astype(np.float32)
+        self._lines.colors = np.full((WAYS.handles - 1, 2, 3), color(THEME.active), dtype=np.uint8)
+
+
 class SceneDrawing:
     """What the arm keeps clear of: known obstacles, and the cells of a map as points, with their age."""
 
@@ -206,6 +274,26 @@ class SceneDrawing:
         )
 
 
+class TipLine:
+    """A line of the tip."""
+
+    def __init__(self, server: viser.ViserServer, name: str, shade: str, thickness: float) -> None:
+        self._lines = add_lines(server, name, 1, thickness)
+        self._shade = shade
+        self._drawn = np.zeros((0, 3))
+
+    def show(self, line: Array) -> None:
+        """Draw it through points, (n, 3) [m]; nothing if there are fewer than two."""
+        if line is self._drawn:
+            return
+        self._drawn = line
+        put(self._lines, visible=len(line) > 1)
+        if len(line) > 1:
+            pieces = np.stack([line[:-1], line[1:]], axis=1).astype(np.float32)
+            self._lines.points = pieces
+            self._lines.colors = np.full(pieces.shape, color(self._shade), dtype=np.uint8)
+
+
 class LivePage:
     """What browsers show of an operation, all of them the same; one of them has control.
 
@@ -216,12 +304,20 @@ class LivePage:
         operation: the operation.
         host: the address to listen at.
         port: the port; another if it is taken.
+        simulated: the arm if it is simulated: its camera is shown, and its joints can be made to fail; else
+            None.
 
     Raises:
         ViewerError: it cannot be served.
     """
 
-    def __init__(self, operation: Operation, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(
+        self,
+        operation: Operation,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        simulated: SimulatedArm | None = None,
+    ) -> None:
         self._operation = operation
         self._arm = arm = operation.arm
         control = operation.control
@@ -230,7 +326,8 @@ class LivePage:
             reply = control.take(name, message, time.monotonic())
             shown = operation.shown
             why = f": {shown.reason}" if shown.reason else ""
-            return json.dumps(reply | {"state": f"The arm {shown.mode}{why}"})
+            plan = {"way": shown.planned.number, "plan": shown.planned.text}
+            return json.dumps(reply | plan | {"state": f"The arm {shown.mode}{why}"})
 
         head = files("pinposture.operate").joinpath("controls.html").read_text(encoding="utf-8")
         words = {"PERIOD": f"{1e3 * CONTROL.period:.0f}", "PATH": CHANNEL_PATH, "ALONE": ALONE_PATH}
@@ -253,14 +350,22 @@ class LivePage:
         self._status = server.gui.add_html("")
         self._bars = server.gui.add_html("")
         self._about = server.gui.add_html("")
+        self._simulated = simulated
+        self._picture: Array | None = None
+        self._image: Any = None
+        if simulated is not None:
+            self._add_failures(simulated)
         self._measured = ArmDrawing(server, arm)
         self._ghost = ArmDrawing(server, arm, "/commanded", LIVE_PAGE.ghost, THEME.start)
         self._ghost.set_visible(False)
+        self._sagged = ArmDrawing(server, arm, "/sagged", LIVE_PAGE.ghost, THEME.final)
+        self._sagged.set_visible(False)
+        self._goal = ArmDrawing(server, arm, "/goal", LIVE_PAGE.ghost, THEME.target)
+        self._goal.set_visible(False)
+        self._handles = CurveHandles(server, operation)
         self._scene = SceneDrawing(server, arm)
-        self._line = server.scene.add_line_segments(
-            "/way", np.zeros((1, 2, 3)), np.zeros((1, 2, 3), dtype=np.uint8), thickness=0.3 * link_radius(arm)
-        )
-        self._drawn_line = np.zeros((0, 3))
+        self._line = TipLine(server, "/way", THEME.target, 0.3 * link_radius(arm))
+        self._planned = TipLine(server, "/planned", THEME.final, 0.3 * link_radius(arm))
         self._facts_at = -np.inf
         self._closed = Event()
         self._thread = Thread(target=self._run, name="pinposture-page", daemon=True)
@@ -286,21 +391,52 @@ class LivePage:
             if shown.commanded is not None:
                 self._ghost.set_visible(True)
                 self._ghost.move(shown.commanded)
+            goal = shown.planned.goal
+            self._goal.set_visible(goal is not None)
+            if goal is not None:
+                self._goal.move(goal)
             self._scene.show(shown.scene, now)
-            self._show_line(shown.line)
+            self._line.show(shown.line)
+            self._planned.show(shown.planned.line)
+            self._handles.show(shown)
             if now - self._facts_at >= LIVE_PAGE.facts_period:
                 self._facts_at = now
                 self._show_facts(shown, now)
         self._server.flush()
 
-    def _show_line(self, line: Array) -> None:
-        """Draw the way of the tip, (n, 3) [m]."""
-        if line is self._drawn_line or len(line) < 2:
+    def _add_failures(self, simulated: SimulatedArm) -> None:
+        """Add what lets joints of a simulated arm stick."""
+        names = self._arm.drives.names
+        with self._server.gui.add_folder("Let a joint fail", expand_by_default=False):
+            joint = self._server.gui.add_dropdown("joint", names, initial_value=names[len(names) // 2])
+            on_click(self._server.gui.add_button("It sticks"), lambda: simulated.fail(joint.value))
+            on_click(self._server.gui.add_button("All joints work"), simulated.fail)
+
+    def _show_picture(self) -> None:
+        """Show the last picture of the camera: near is dark."""
+        picture = None if self._simulated is None else self._simulated.picture
+        if picture is None or picture is self._picture:
             return
-        self._drawn_line = line
-        pieces = np.stack([line[:-1], line[1:]], axis=1).astype(np.float32)
-        self._line.points = pieces
-        self._line.colors = np.full(pieces.shape, color(THEME.target), dtype=np.uint8)
+        self._picture = picture
+        seen = np.isfinite(picture)
+        far = float(picture[seen].max(initial=0.0)) or 1.0
+        shades = np.where(seen, np.uint8(200) * np.where(seen, picture, 0.0) / far, 255.0).astype(np.uint8)
+        image = np.repeat(shades[..., None], 3, axis=2).repeat(LIVE_PAGE.pixel, 0).repeat(LIVE_PAGE.pixel, 1)
+        if self._image is None:
+            self._image = self._server.gui.add_image(image, label="tip camera: near is dark", format="png")
+        else:
+            self._image.image = image
+
+    def _show_sag(self, shown: Shown) -> None:
+        """Show how the loaded arm hangs where it is commanded to be, if its stiffness is known."""
+        if shown.commanded is None or not self._arm.sag_known:
+            return
+        try:
+            self._sagged.move(self._arm.sag(shown.commanded))
+        except NoEquilibrium:
+            self._sagged.set_visible(False)
+        else:
+            self._sagged.set_visible(True)
 
     def _show_facts(self, shown: Shown, now: float) -> None:
         """Write the status, and the margins of the measured arm."""
@@ -308,7 +444,13 @@ class LivePage:
         if shown.measured is not None:
             put(self._bars, content=bars_html(margins_of(self._arm, shown.measured, shown.scene)))
         style = "font-size:12px;padding:2px 10px"
-        words = [self._scene.about] if self._scene.about else []
+        self._show_picture()
+        self._show_sag(shown)
+        words = [f"way: {shown.planned.text}"]
+        if shown.stuck:
+            words.append(shown.stuck)
+        if self._scene.about:
+            words.append(self._scene.about)
         if (
             shown.report is not None
             and shown.report.tracking_error is not None

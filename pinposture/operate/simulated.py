@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.collision import Map, Mounting, Scene
 from pinposture.collision.mapping import MAPPING, SEEN
@@ -51,10 +52,15 @@ class SimulatedArm:
     Without a camera the arm keeps clear of the obstacles of the scene. With one it does not know them: it
     keeps clear of what it sees of them, in a `Map`.
 
+    A joint can fail on request (`fail`). Once there is a way out without it, the arm goes on with that joint
+    locked in its model.
+
     Attributes:
         plant: the simulation.
         tracker: what computes the steps.
         scene: what the arm keeps clear of.
+        picture: the last picture of the camera, distances (height, width) [m], infinite where nothing is near
+            enough; None before the first.
 
     Args:
         arm: the arm.
@@ -87,6 +93,8 @@ class SimulatedArm:
     ) -> None:
         self._arm = arm
         self._operation = operation
+        self._limits = limits
+        operation.goes_on = True
         start = arm.checked_start(arm.neutral() if q0 is None else q0, "q0")
         self._sent = arm.drives.positions(arm.positions(start))
         self.plant = Plant(build_plant_model(arm, servos), self._sent, cycle_of(limits))
@@ -101,6 +109,8 @@ class SimulatedArm:
         self.tracker = Tracker(arm, limits=limits, scene=known, deadline=deadline)
         self._looking: Latest[Picture, None] = Latest(self._look, "pinposture-camera")
         self._pictures = 0
+        self._failing: tuple[str, ...] | None = None
+        self.picture: Array | None = None
 
     @property
     def time(self) -> float:
@@ -111,6 +121,12 @@ class SimulatedArm:
         """Measure, let the tracker take a step, and simulate a cycle; return False if the arm runs away."""
         arm = self._arm
         names = arm.drives.names
+        failing = self._failing
+        if failing is not None:
+            self._failing = None
+            self.plant.fail(stuck=failing)
+        if self.tracker.arm is not self._operation.arm:
+            self.tracker = Tracker(self._operation.arm, limits=self._limits, scene=self.scene)
         read = self._sensors.measure(self.plant.positions)
         measured = None if read is None else dict(zip(names, read.tolist(), strict=True))
         q = None if measured is None else arm.configuration(arm.drives.joint_positions(measured))
@@ -120,6 +136,16 @@ class SimulatedArm:
         if self._operation.shown.commanded is not None or not hold:
             self._sent = self.tracker.positions
         return self.plant.advance(self._sent)
+
+    def fail(self, *joints: str) -> None:
+        """Let joints stick from the next cycle on, and no others. May be called from any thread.
+
+        Raises:
+            UnknownName: a joint that no drive moves.
+        """
+        for joint in joints:
+            require_known("joint with a drive", joint, self._arm.drives.names)
+        self._failing = joints
 
     def run(self, stop: Event) -> None:
         """Go on in real time until it is stopped, or the arm runs away."""
@@ -150,4 +176,5 @@ class SimulatedArm:
         """Take a picture, and add it to the map. Runs in a thread."""
         if self._camera is not None:
             points = self._camera.look(picture.q)
+            self.picture = self._camera.image
             self._map.add_cloud(points, Mounting(self._arm.tip, pin.SE3.Identity()), picture.time, picture.q)

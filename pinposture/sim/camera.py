@@ -66,6 +66,7 @@ class TipCamera:
     Attributes:
         camera: the camera.
         mounting: the optical frame in the frame of the tip link, a `pin.SE3`.
+        image: the last picture, distances along the rays (height, width) [m]; infinite where nothing is seen.
 
     Args:
         arm: the arm.
@@ -82,6 +83,7 @@ class TipCamera:
         self._arm = arm
         self._rng = np.random.default_rng(camera.seed)
         self._rays = camera.rays()
+        self.image: Array = np.full((camera.height, camera.width), np.inf)
         self._data = arm.model.createData()
         [self._frame] = frame_ids(arm.model, [arm.tip])
         self.mounting = pin.SE3(self._turn(), np.zeros(3))
@@ -145,6 +147,9 @@ class TipCamera:
         mujoco.mj_multiRay(self._model, self._scene, **given)
         hit = (seen >= 0) & (distances <= self.camera.reach)
         measured = distances[hit] + self.camera.noise * self._rng.standard_normal(int(hit.sum()))
+        image = np.full(count, np.inf)
+        image[hit] = measured
+        self.image = image.reshape(self.image.shape)
         points = measured[:, None] * self._rays[hit]
         return np.asarray(points @ self.mounting.rotation.T + self.mounting.translation)
 

@@ -22,7 +22,7 @@ from pinposture.arm import Arm, ChainState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import JointPath, Limits, plan
-from pinposture.control.limits import require_limits
+from pinposture.control.limits import JointBounds, require_limits
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import PlanningProblem, minimize
 from pinposture.control.planner.objective import Objective
@@ -239,6 +239,25 @@ def _strides(arm: Arm, rows: Array) -> NDArray[np.int64]:
     return np.array(kept)
 
 
+def nearest_posture(
+    state: ChainState, target: Target, scene: Scene, bounds: JointBounds, least: float | None = None
+) -> ChainState:
+    """Return the posture nearest to a target to which least squares lead from a state on.
+
+    Args:
+        state: the state.
+        target: the target.
+        scene: the obstacles.
+        bounds: the limits of the joints.
+        least: distance to keep from the obstacles [m]; None: the margin.
+    """
+    arm = state.arm
+    objective = Objective(arm, target)
+    problem = PlanningProblem(objective, state, bounds.edges, Avoidance.of(scene, objective, bounds))
+    allowed = 0.0 if least is None else max(0.0, scene.margin - least)
+    return minimize(problem, state, RETREAT.error * arm.length, allowed).state
+
+
 class _Ways:
     """Finds ways out.
 
@@ -382,12 +401,8 @@ class _Way:
 
     def _fitted(self, state: ChainState, q: Array) -> ChainState:
         """Return the posture of a configuration, (nq,), as nearly as the arm can take it from a state on."""
-        arm = self._arm
-        objective = Objective(arm, Target.from_points(arm, arm.chain_at(q).points))
-        avoidance = Avoidance.of(self._scene, objective, self._bounds)
-        problem = PlanningProblem(objective, state, self._bounds.edges, avoidance)
-        allowed = max(0.0, self._scene.margin - self._least)
-        return minimize(problem, state, RETREAT.error * arm.length, allowed).state
+        target = Target.from_points(self._arm, self._arm.chain_at(q).points)
+        return nearest_posture(state, target, self._scene, self._bounds, self._least)
 
     def _move_to(self, state: ChainState) -> bool:
         """Move straight to a state if that is clear; return whether it is."""

@@ -619,13 +619,17 @@ def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
     return np.vstack([np.zeros(arm.nv), np.cumsum(steps, axis=0)])
 
 
-def _timed(path: JointPath, limits: Limits) -> JointTrajectory:
-    """Return the motion along a path."""
+def rows_in_time(path: JointPath, limits: Limits) -> Array:
+    """Return the configurations of the motion along a path after each cycle, two at least, (n, nq)."""
     places = retime(path, limits).places
     if len(places) < 2:  # it is there already, and rests for a cycle
         places = np.zeros(2)
-    rows = path.arm.integrate(path.start, path.smooth_offset(places))
-    return JointTrajectory.from_configurations(path.arm, rows, cycle_of(limits))
+    return np.asarray(path.arm.integrate(path.start, path.smooth_offset(places)))
+
+
+def _timed(path: JointPath, limits: Limits) -> JointTrajectory:
+    """Return the motion along a path."""
+    return JointTrajectory.from_configurations(path.arm, rows_in_time(path, limits), cycle_of(limits))
 
 
 class _Found(NamedTuple):

@@ -1,0 +1,147 @@
+"""Ways are planned, shown, driven while they are held, and driven back; a joint that sticks is led around."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from operate.test_operation import Desk, bent_arm, fed_arm
+
+import pinposture as pp
+from pinposture.operate.ways import CurveAlong, read_steps
+
+pytestmark = pytest.mark.long
+
+
+def along(desk: Desk, share: float, number: int | None = None) -> None:
+    shown = desk.operation.shown.planned.number if number is None else number
+    desk.tell(do="hold", ahead=0, left=0, up=0, override=1, along=share, way=shown)
+
+
+def planned(desk: Desk) -> None:
+    """Wait until a way that was asked for is there."""
+    desk.run(0.04, lambda: desk.tell(do="release"))
+    assert desk.operation.ways._finder.finish(60.0)
+    desk.run(0.04, lambda: desk.tell(do="release"))
+    assert desk.operation.shown.planned.goal is not None, desk.operation.shown.planned.text
+
+
+def drive(desk: Desk, share: float, most: float = 30.0) -> str:
+    """Drive along a way to its end, and say why it ended."""
+    for _ in range(round(most / 0.02)):
+        desk.run(0.02, lambda: along(desk, share))
+        shown = desk.operation.shown
+        if shown.mode == "stands":
+            desk.run(0.8, lambda: along(desk, share))  # it comes to rest there
+            return shown.reason
+    raise AssertionError("it does not end")
+
+
+def dragged(desk: Desk, shift: tuple[float, float, float]) -> CurveAlong:
+    led = desk.operation.shown.led
+    assert led is not None
+    curve = CurveAlong.of(desk.arm, led)
+    points = curve.points.copy()
+    points[-1] += shift
+    return curve._replace(points=points)
+
+
+def test_a_curve_that_is_dragged_is_driven_while_it_is_held_and_back_again() -> None:
+    desk = Desk(*bent_arm())
+    desk.run(0.1, lambda: desk.tell(do="release"))
+    start = desk.q
+    curve = dragged(desk, (-0.02, 0.03, 0.02))
+    desk.operation.reshape(curve)
+    planned(desk)
+    assert max(desk.speeds) == 0.0  # it is a ghost
+    desk.run(0.5, lambda: along(desk, 1.0, number=99))
+    assert max(desk.speeds) == 0.0
+    assert "another way" in desk.operation.shown.reason
+    desk.run(0.06, lambda: desk.tell(do="release"))
+    desk.run(0.3, lambda: along(desk, 1.0))
+    assert desk.operation.shown.mode == "runs"
+    desk.run(0.8, lambda: desk.tell(do="release"))
+    assert desk.speeds[-1] == 0.0
+    assert 0.0 < desk.operation.ways.way.at < desk.operation.ways.way.end
+    assert drive(desk, 1.0) == "the arm is at the end of the way"
+    desk.run(1.0, lambda: desk.tell(do="release"))
+    target = curve.target(desk.arm)
+    tip = target.points[-1]
+    assert np.linalg.norm(desk.tip - tip) < 0.2 * np.linalg.norm(desk.arm.at(start).points[-1] - tip)
+    bound = desk.limits.for_arm(desk.arm).bound / desk.arm.joint_units / 0.02
+    assert max(desk.speeds) <= bound.max() * (1.0 + 1e-9)
+    assert drive(desk, -1.0) == "nothing more can be driven back"
+    desk.run(1.0, lambda: desk.tell(do="release"))
+    np.testing.assert_allclose(desk.q, start, atol=1e-4)
+
+
+def test_a_way_that_something_blocks_by_now_is_not_driven_on() -> None:
+    desk = Desk(*bent_arm())
+    desk.run(0.1, lambda: desk.tell(do="release"))
+    desk.operation.reshape(dragged(desk, (-0.03, 0.05, 0.03)))
+    planned(desk)
+    goal = desk.operation.shown.planned.goal
+    middle = 0.5 * (desk.tip + desk.arm.at(goal).points[-1])
+    ball = pp.Sphere(tuple(middle + [0.03, 0.0, 0.0]), 0.01)
+    desk.scene = pp.Scene({"ball": ball}, margin=0.005, self_collision=False)
+    assert pp.CollisionModel(desk.arm, desk.scene).minimum(desk.q).distance > 0.005
+    desk.run(4.0, lambda: along(desk, 1.0))
+    assert desk.operation.shown.mode == "stands"
+    assert "ball" in desk.operation.shown.reason
+    assert pp.CollisionModel(desk.arm, desk.scene).minimum(desk.q).distance > 0.005 * (1.0 - 1e-6)
+
+
+def test_kept_postures_are_the_steps_and_the_way_of_the_tip_is_undone() -> None:
+    desk = Desk(*bent_arm())
+    desk.run(0.1, lambda: desk.tell(do="release"))
+    start = desk.q
+    desk.tell(do="keep")
+    desk.run(0.5, lambda: desk.hold((-1.0, 0.0, 0.0)))
+    desk.run(0.5, lambda: desk.tell(do="release"))
+    desk.tell(do="keep")
+    desk.tell(do="next")
+    planned(desk)
+    assert [step.name for step in desk.operation.steps] == ["posture 1", "posture 2"]
+    drive(desk, 1.0)
+    desk.run(0.8, lambda: desk.tell(do="release"))
+    np.testing.assert_allclose(desk.q, start, atol=1e-4)
+    desk.tell(do="next")
+    planned(desk)
+    drive(desk, 1.0)
+    desk.run(0.8, lambda: desk.tell(do="release"))
+    np.testing.assert_allclose(desk.q, desk.operation.steps[1].target.q, atol=1e-4)
+    drive(desk, -1.0)  # both steps, and what the tip was led
+    desk.run(0.8, lambda: desk.tell(do="release"))
+    np.testing.assert_allclose(desk.q, start, atol=1e-4)
+
+
+def test_an_arm_off_the_path_of_its_tip_is_not_steered_before_it_is_back() -> None:
+    desk = Desk(fed_arm())
+    desk.run(2.0, lambda: desk.hold((1.0, 0.5, 0.0)))
+    desk.run(1.0, lambda: desk.tell(do="release"))
+    on_path = desk.q
+    desk.operation.reshape(dragged(desk, (0.0, 0.02, 0.02)))
+    planned(desk)
+    drive(desk, 1.0)
+    desk.run(0.2, lambda: desk.hold((-1.0, 0.0, 0.0)))
+    assert "off the path" in desk.operation.shown.reason
+    drive(desk, -1.0)
+    desk.run(0.6, lambda: desk.tell(do="release"))
+    np.testing.assert_allclose(desk.q, on_path, atol=1e-4)
+    desk.run(2.5, lambda: desk.hold((-1.0, 0.0, 0.0)))
+    np.testing.assert_allclose(desk.q, desk.arm.neutral(), atol=1e-3)
+
+
+def test_steps_are_the_keyframes_of_a_task_for_the_same_arm(tmp_path: Path) -> None:
+    arm, q = bent_arm()
+    keyframes = [
+        pp.Keyframe(joints=arm.positions(each), name=name, **when)
+        for each, name, when in ((arm.neutral(), "straight", {}), (q, "bent", {"duration": 3.0}))
+    ]
+    limits = pp.Limits(step=None, dt=0.02, velocity=1.0)
+    file = pp.Task(arm, keyframes, limits=limits).save(tmp_path / "task.toml")
+    steps = read_steps(arm, str(file))
+    np.testing.assert_allclose(steps[1].target.q, q, atol=1e-9)
+    with pytest.raises(pp.errors.FileError, match="other names"):
+        read_steps(fed_arm(), str(file))
