@@ -41,13 +41,13 @@ edit: $(VENV)/editor.stamp
 
 # A simulated robot on ROS 2, its driver and the page of an operator, without an installation of ROS; Ctrl-C ends it.
 STATION := out/station/arm.urdf
-station: $(VENV)/ros2,sim,editor.stamp
+station: $(VENV)/ros2,sim,editor,foxglove.stamp
 	mkdir -p $(dir $(STATION))
 	$(RUN) -m pinposture generate RyRz --modules 20 --feed 1.2 -o $(STATION)
 	export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST; \
 	$(RUN) -m pinposture robot $(STATION) --scene examples/hole.toml --camera --start $$(printf '0,%.0s' $$(seq 40))0 & \
 	robot=$$!; trap 'kill $$robot' EXIT INT TERM; \
-	$(RUN) -m pinposture operate $(STATION) --ros
+	$(RUN) -m pinposture operate $(STATION) --ros --record $(dir $(STATION))run-$$(date +%Y%m%d-%H%M%S).mcap
 
 # The documentation site, into build/site; a test builds it, too, and checks its links.
 docs: $(VENV)/docs.stamp

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,11 +29,14 @@ from pinposture.cli.inputs import (
 )
 from pinposture.cli.output import examples, print_note
 from pinposture.cli.view import hold_interrupt
+from pinposture.errors import FileError
 
 if TYPE_CHECKING:
+    from pinposture.arm import Arm
     from pinposture.collision import Scene
     from pinposture.control import Limits
     from pinposture.operate import Operation, SimulatedArm
+    from pinposture.operate.record import Replay
 
 SIMULATION = Panel("The simulated arm")
 OPERATED = Panel("The operation")
@@ -75,6 +79,13 @@ class OperationOptions:
         str | None,
         OPERATED("A task file for the same arm: the postures of its keyframes are the steps.", "TASK"),
     ] = None
+    record: Annotated[
+        str | None,
+        OPERATED("File to record the run to; default: operation-DATE-TIME.mcap in this folder.", "FILE"),
+    ] = None
+    replay: Annotated[
+        str | None, OPERATED("Show a run that was recorded for this arm, and operate nothing.", "FILE")
+    ] = None
     speed: Annotated[
         float | None,
         OPERATED("Full speed of the tip, in m/s; default: 5 % of the length of the arm per second.", "SPEED"),
@@ -86,6 +97,7 @@ class OperationOptions:
     "pinposture operate arm.urdf --scene scene.toml",
     "pinposture operate arm.urdf --scene scene.toml --camera --frequency 10",
     "pinposture operate arm.urdf --task task.toml",
+    "pinposture operate arm.urdf --replay operation-20260102-030405.mcap",
     "pinposture operate arm.urdf --ros --velocity 0.5",
     "pinposture operate arm.urdf --ros -- --ros-args -r joint_states:=/arm/joint_states",
 )
@@ -116,12 +128,28 @@ def run(
     refuse_given({"--dt": limit_options.dt}, "nothing; the rate tells the cycle time")
     arm = arm_options.read(urdf)
     scene = scene_options.read(arm)
+    if operation_options.replay is not None:
+        replay(arm, operation_options.replay, scene, page_options)
+        return
     limits = read_limits(arm, limit_options, 1.0 / RATE)
     sys.setswitchinterval(SWITCH_INTERVAL)
     operation = Operation(arm, limits, Control(), operation_options.speed)
     if operation_options.task is not None:
         operation.steps += read_steps(arm, operation_options.task)
     compile_missing()
+    with recorded(operation, operation_options.record):
+        _operate(operation, limits, scene, ros_args, operation_options, page_options)
+
+
+def _operate(
+    operation: Operation,
+    limits: Limits,
+    scene: Scene,
+    ros_args: list[str] | None,
+    operation_options: OperationOptions,
+    page_options: PageOptions,
+) -> None:
+    """Operate an arm until Ctrl-C."""
     if operation_options.ros:
         given = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
         refuse_given(given, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
@@ -132,8 +160,52 @@ def run(
 
 
 @contextmanager
+def recorded(operation: Operation, path: str | None) -> Iterator[None]:
+    """Record an operation to a file meanwhile; without a name, only if what that needs is installed."""
+    from pinposture.operate.record import Recorder
+
+    name = time.strftime("operation-%Y%m%d-%H%M%S.mcap") if path is None else path
+    try:
+        recorder = Recorder(operation.arm, name)
+    except FileError as error:
+        if path is not None:
+            raise
+        print_note(f"the run is not recorded: {error}")
+        yield
+        return
+    operation.watch = recorder.add
+    try:
+        yield
+    finally:
+        operation.watch = None
+        recorder.close()
+        print_note(f"recorded to {name}; see it by pinposture operate ... --replay {name}")
+
+
+def replay(arm: Arm, path: str, scene: Scene, options: PageOptions) -> None:
+    """Show a recording until Ctrl-C."""
+    from pinposture.operate.record import Replay
+
+    shown = Replay(arm, path, scene)
+    with ending() as stop, _page(shown, options):
+        shown.run(stop)
+
+
+@contextmanager
+def ending() -> Iterator[Event]:
+    """Yield an event that is set by Ctrl-C, or when the process is to end."""
+    stop = Event()
+    before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+@contextmanager
 def _page(
-    operation: Operation, options: PageOptions, simulated: SimulatedArm | None = None
+    operation: Operation | Replay, options: PageOptions, simulated: SimulatedArm | None = None
 ) -> Iterator[None]:
     """Show a page while something else is done."""
     from pinposture.editor.ui.server import is_loopback
@@ -198,13 +270,9 @@ def _simulate(
             q0=q0,
             deadline=0.5 / RATE,
         )
-    stop = Event()
-    before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with _page(operation, options, simulated):
+        with ending() as stop, _page(operation, options, simulated):
             simulated.run(stop)
     finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
         simulated.close()
     print_note(f"{simulated.plant.cycles} cycles{simulated.plant.failure and '; ' + simulated.plant.failure}")

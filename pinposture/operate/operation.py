@@ -113,6 +113,7 @@ class Operation:
         goes_on: whether the arm is exchanged for one without a joint that is stuck, once there is a way out;
             else it holds as long as the tracker does.
         shown: the last cycle; may be read from any thread.
+        watch: called with each cycle, such as `Recorder.add`; it has to return at once.
 
     Args:
         arm: the arm.
@@ -141,6 +142,7 @@ class Operation:
         self.ways = Ways(limits)
         self.steps: list[NextStep] = []
         self.goes_on = False
+        self.watch: Callable[[Shown], object] | None = None
         self._speed = OPERATION.speed * arm.length if speed is None else require_positive("speed", speed)
         self._limits = limits
         self._clock = clock
@@ -225,6 +227,8 @@ class Operation:
             stuck="" if self._stuck is None else str(self._stuck),
             time=now,
         )
+        if self.watch is not None:
+            self.watch(self.shown)
         return hold
 
     def reshape(self, curve: CurveAlong) -> None:

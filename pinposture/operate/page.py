@@ -30,6 +30,7 @@ from pinposture.editor.ui.server import Channel, serve
 from pinposture.errors import NoEquilibrium
 from pinposture.operate.control import CONTROL
 from pinposture.operate.operation import Operation, Shown
+from pinposture.operate.record import Replay
 from pinposture.operate.simulated import SimulatedArm
 from pinposture.operate.ways import WAYS, CurveAlong
 from pinposture.units import length_text
@@ -139,7 +140,7 @@ def bars_html(margins: Iterable[Margin]) -> str:
     return f'<div id="margins" style="{style}">{"".join(rows)}</div>'
 
 
-def status_html(operation: Operation, shown: Shown, age: float) -> str:
+def status_html(operation: Operation | Replay, shown: Shown, age: float) -> str:
     """Return what an operation does and why, given the age of its last cycle [s], as HTML."""
     kind = MODE_KINDS[shown.mode]
     head = f"The arm {shown.mode}"
@@ -159,7 +160,7 @@ def status_html(operation: Operation, shown: Shown, age: float) -> str:
 class CurveHandles:
     """The control points of the curve along the arm, which are dragged; where the arm goes is a ghost."""
 
-    def __init__(self, server: viser.ViserServer, operation: Operation) -> None:
+    def __init__(self, server: viser.ViserServer, operation: Operation | Replay) -> None:
         self._server = server
         self._operation = operation
         self._led: Array | None = None
@@ -301,7 +302,7 @@ class LivePage:
         url: where a browser on this machine finds it; anyone who has it can ask for control.
 
     Args:
-        operation: the operation.
+        operation: the operation, or a recording of one.
         host: the address to listen at.
         port: the port; another if it is taken.
         simulated: the arm if it is simulated: its camera is shown, and its joints can be made to fail; else
@@ -313,7 +314,7 @@ class LivePage:
 
     def __init__(
         self,
-        operation: Operation,
+        operation: Operation | Replay,
         host: str = "127.0.0.1",
         port: int = 8080,
         simulated: SimulatedArm | None = None,
