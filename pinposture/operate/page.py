@@ -414,14 +414,14 @@ class LivePage:
             on_click(self._server.gui.add_button("All joints work"), simulated.fail)
 
     def _show_picture(self) -> None:
-        """Show the last picture of the camera: near is dark."""
+        """Show the last picture of the camera: near is dark, and what is beyond its reach light."""
         picture = None if self._simulated is None else self._simulated.picture
         if picture is None or picture is self._picture:
             return
         self._picture = picture
         seen = np.isfinite(picture)
         far = float(picture[seen].max(initial=0.0)) or 1.0
-        shades = np.where(seen, np.uint8(200) * np.where(seen, picture, 0.0) / far, 255.0).astype(np.uint8)
+        shades = np.where(seen, 190.0 * np.where(seen, picture, 0.0) / far, 228.0).astype(np.uint8)
         image = np.repeat(shades[..., None], 3, axis=2).repeat(LIVE_PAGE.pixel, 0).repeat(LIVE_PAGE.pixel, 1)
         if self._image is None:
             self._image = self._server.gui.add_image(image, label="tip camera: near is dark", format="png")

@@ -161,4 +161,7 @@ def test_a_simulated_arm_moves_while_it_is_told_and_maps_what_it_sees() -> None:
     simulated.cycle()
     cells = simulated.scene.obstacles[SEEN].points
     simulated.close()
+    assert simulated.picture is not None
+    seen = simulated.picture[np.isfinite(simulated.picture)]
+    assert len(seen) > 20 and seen.min() == pytest.approx(0.23 - moved[0] - tip[0], abs=0.1)
     assert np.all(np.abs(cells[:, 0] - 0.23) < 0.01)

@@ -82,7 +82,7 @@ def test_the_page_shows_an_arm_that_is_steered_to_a_hole_it_sees(browser: Any, p
             control.take("page", json.dumps(held_way), now)
             assert simulated.cycle()
             time.sleep(0.001)  # for the thread of the camera
-    live = LivePage(operation, port=free_port())
+    live = LivePage(operation, port=free_port(), simulated=simulated)
     page = browser.new_page(viewport=SIZE)
     page.goto(live.url)
     page.wait_for_selector(CANVAS)
