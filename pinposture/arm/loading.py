@@ -36,10 +36,21 @@ from pinposture.units import length_text
 
 ALLOWED_LENGTHS = (1e-9, 1e9)
 """Shortest and longest accepted chain [m]; beyond these, squared lengths could under- or overflow."""
-SUSPECT_LENGTH = 100.0
-"""Length of a chain above which it may be in millimetres [m]."""
-SUSPECT_LIMITS = (4.0 * np.pi, 360.0)
-"""Position limits of revolute joints that may be in degrees: above the first, up to the second [rad]."""
+
+
+class SuspectDescription(NamedTuple):
+    """Which lengths and limits of a description seem to be in another unit."""
+
+    length: float = 100.0
+    """Length of a chain above which it may be in millimetres [m]."""
+
+    limits: tuple[float, float] = (4.0 * np.pi, 360.0)
+    """Position limits of revolute joints that may be in degrees: above the first, up to the second
+    [rad]."""
+
+
+SUSPECT = SuspectDescription()
+
 MULTI_DOF_JOINTS = ("floating", "planar")
 """Types of joints with several degrees of freedom."""
 _LINK_SUFFIX = "\n"  # no name in a description has one
@@ -124,7 +135,7 @@ def load_model(
     warnings += _lock_warnings(description, base, tip, names, locks)
     if not spec.hard_limits:
         warnings.extend(soft_limit_warnings(read, names))
-    if skeleton.length > SUSPECT_LENGTH:
+    if skeleton.length > SUSPECT.length:
         warnings.append(f"the arm is {skeleton.length:.4g} m long; is it in millimetres, not metres?")
     if segmentation.can_follow is False:
         warnings.append(segmentation.reason)
@@ -321,7 +332,7 @@ def _lock_warnings(
     if unset:
         messages.append(f"the velocity limit of {quote_joints(unset)} is 0; treated as no limit")
     turns = {j.name: max(-j.lower, j.upper) for j in chain if j.type == "revolute" and j.name in free}
-    wide = {name: turn for name, turn in turns.items() if SUSPECT_LIMITS[0] < turn <= SUSPECT_LIMITS[1]}
+    wide = {name: turn for name, turn in turns.items() if SUSPECT.limits[0] < turn <= SUSPECT.limits[1]}
     if wide:
         largest = f"up to {max(wide.values()):g} rad"
         messages.append(f"limits of {quote_joints([*wide])} are {largest}; are they in degrees?")

@@ -10,8 +10,6 @@ from pinposture.arm.urdf import parse_xml
 from pinposture.errors import PostureError
 from pinposture.storage import read_xml
 
-AMENT_PATH = "AMENT_PREFIX_PATH"
-ROS_PATH = "ROS_PACKAGE_PATH"
 MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
 """Environment variables with folders of packages or models, the first of a list first."""
 
@@ -22,8 +20,8 @@ _SEARCH_DEPTH = 2  # levels of folders searched for packages, as in src/package;
 
 def package_folders(given: Iterable[str | Path]) -> list[Path]:
     """Return the folders in which to search for packages: those given, then those of the environment."""
-    shared = [folder / "share" for folder in _listed(AMENT_PATH)]
-    return [*(Path(folder) for folder in given), *shared, *_listed(ROS_PATH)]
+    shared = [folder / "share" for folder in _listed("AMENT_PREFIX_PATH")]
+    return [*(Path(folder) for folder in given), *shared, *_listed("ROS_PACKAGE_PATH")]
 
 
 def model_folders(given: Iterable[str | Path]) -> list[Path]:

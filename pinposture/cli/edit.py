@@ -26,9 +26,6 @@ BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 for each other slow down the other parts of the editor."""
 
 
-ENDING = ("SIGTERM", "SIGHUP")
-"""Signals that end the editor like Ctrl-C, after the last changes are written."""
-
 MODULES = 20
 """Default number of modules of an arm from a template."""
 
@@ -96,7 +93,7 @@ def run(
     host = page_options.host
     editor = Editor(task, path, host, page_options.port, joint_states, folder)
     try:
-        for name in ENDING:
+        for name in ("SIGTERM", "SIGHUP"):  # end the editor like Ctrl-C, after the last changes are written
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.default_int_handler)
         editor.start()

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 GOAL = "follow-joint-trajectory"
 BAG = "rosbag"
-NAMED_FORMATS = (GOAL, BAG)
-"""Formats that a file suffix does not determine."""
 
 
 @examples(
@@ -156,7 +154,7 @@ def check_form(output: Path, form: str) -> None:
     from pinposture.motion.joint_files import SUFFIXES
 
     if form:
-        require_known("format", form, NAMED_FORMATS)
+        require_known("format", form, (GOAL, BAG))
     else:
         require_suffix(output, *SUFFIXES, ".mcap")
 

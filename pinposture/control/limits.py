@@ -513,7 +513,7 @@ class Limits(Declared):
 
     @model_validator(mode="after")
     def _check(self, info: ValidationInfo) -> Limits:
-        if self.dt is not None and self.dt > MAX_USUAL_CYCLE:
+        if self.dt is not None and self.dt > SUSPECT_LIMITS.longest_cycle:
             warn_caller(f"dt is {self.dt:g} s, long for a control cycle; is it in milliseconds?")
         for name in ("velocity", "acceleration"):
             if getattr(self, name) is not None and self.dt is None:
@@ -773,14 +773,21 @@ def cycle_of(limits: object) -> float:
     return limits.dt
 
 
-SPEED_ROUNDING = 1e-6
-"""Relative excess over the velocity limit of the description that is not reported."""
+class SuspectLimits(NamedTuple):
+    """Which limits seem to be in another unit, or above those of the description."""
 
-MAX_USUAL_CYCLE = 1.0
-"""Cycle time above which it may be in milliseconds [s]."""
+    speed_rounding: float = 1e-6
+    """Relative excess over the velocity limit of the description that is not reported."""
 
-IN_DEGREES = 10.0
-"""Ratio of a speed to that of the description above which it may be in degrees."""
+    longest_cycle: float = 1.0
+    """Cycle time above which it may be in milliseconds [s]."""
+
+    in_degrees: float = 10.0
+    """Ratio of a speed to that of the description above which it may be in degrees."""
+
+
+SUSPECT_LIMITS = SuspectLimits()
+
 
 _NO_BOUND = np.empty(0)
 
@@ -789,11 +796,11 @@ def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:
     """Warn about velocity limits above those of the arm, which they replace, once per arm and worst joint."""
     speed = np.broadcast_to(velocity, arm.nv)
     known = arm.limits.velocity
-    faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SPEED_ROUNDING) * known))
+    faster = np.flatnonzero(np.isfinite(speed) & (speed > (1.0 + SUSPECT_LIMITS.speed_rounding) * known))
     if not len(faster):
         return
     worst = int(faster[np.argmax(speed[faster] / known[faster])])
-    in_degrees = bool(speed[worst] > IN_DEGREES * known[worst])
+    in_degrees = bool(speed[worst] > SUSPECT_LIMITS.in_degrees * known[worst])
     warned: set[tuple[int, bool]] = arm.cache.setdefault(_warn_of_speed, set())
     if (worst, in_degrees) in warned:
         return

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,14 +14,21 @@ from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
-PLACE_ROUNDING = 1e-9
-"""Share of a nominal cycle that is attributed to rounding."""
 
-RATE_ROUNDING = 1e-6
-"""Relative excess over a limit that is not reported."""
+class SmoothStepTolerances(NamedTuple):
+    """What of steps under a jerk limit is due to rounding."""
 
-DISPLACEMENT_ROUNDING = 1e-15
-"""Rounding of a step [rad or m], which short cycles amplify."""
+    place: float = 1e-9
+    """Share of a nominal cycle that is attributed to rounding."""
+
+    rate: float = 1e-6
+    """Relative excess over a limit that is not reported."""
+
+    displacement: float = 1e-15
+    """Rounding of a step [rad or m], which short cycles amplify."""
+
+
+SMOOTHING = SmoothStepTolerances()
 
 
 class SmoothSteps:
@@ -66,7 +75,7 @@ class SmoothSteps:
 
     def needs_step(self, share: float) -> bool:
         """Whether a cycle, of a share of the nominal one, needs a step of the controller."""
-        return not self.active or self._place + share > 1.0 + PLACE_ROUNDING
+        return not self.active or self._place + share > 1.0 + SMOOTHING.place
 
     def advance(self, share: float, dq: Array | None) -> Array:
         """Return the step of the arm in a cycle, (nv,) [rad or m].
@@ -153,22 +162,22 @@ class RateCheck:
         if bounds.dt is None:
             return ()
         shortest = min(earlier, before, duration)
-        words = self._compare("velocity", speed, bounds.bound / bounds.dt, DISPLACEMENT_ROUNDING / shortest)
+        words = self._compare("velocity", speed, bounds.bound / bounds.dt, SMOOTHING.displacement / shortest)
         if bounds.acceleration is not None:
             most = bounds.acceleration / bounds.dt**2
-            words += self._compare("acceleration", gentlest, most, DISPLACEMENT_ROUNDING / shortest**2)
+            words += self._compare("acceleration", gentlest, most, SMOOTHING.displacement / shortest**2)
             if bounds.jerk is not None:
                 most = bounds.jerk / bounds.dt**3
-                words += self._compare("jerk", jerk, most, DISPLACEMENT_ROUNDING / shortest**3)
+                words += self._compare("jerk", jerk, most, SMOOTHING.displacement / shortest**3)
         if bounds.effort is not None and positions is not None:
             torques = self._arm.dynamics.inverse_dynamics(positions[None], mean_speed[None], gentlest[None])
             load = heaviest_load(self._arm.drives, torques[0], bounds.effort)
-            if load.share > 1.0 + RATE_ROUNDING:
+            if load.share > 1.0 + SMOOTHING.rate:
                 words += (f"torque limit: {load} for this step",)
         return words
 
     def _compare(self, kind: str, rate: Array, most: Array, rounding: float) -> tuple[str, ...]:
-        over = np.abs(rate) - (1.0 + RATE_ROUNDING) * most
+        over = np.abs(rate) - (1.0 + SMOOTHING.rate) * most
         joint = int(over.argmax())
         if not over[joint] > rounding:
             return ()

@@ -367,10 +367,6 @@ def lever(arm: Arm, length: float | None) -> float:
     return arm.characteristic_length if length is None else length
 
 
-HOLDS = ("position", "pose")
-"""Values of `hold` in `EndEffector.held`."""
-
-
 def _read_point_position(value: Any, _: ValidationInfo) -> Array:
     with refusing():
         position = finite_array("position", value, (3,))
@@ -517,7 +513,7 @@ class EndEffector(ComparableTask, Declared):
             InvalidValue: as for `EndEffector`, or an index that no control point has.
         """
         require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
-        require_known("thing to hold", hold, HOLDS)
+        require_known("thing to hold", hold, ("position", "pose"))
         k = _index(state.arm, point)
         if hold == "position":
             return cls(position=state.points[k], point=point, **options)

@@ -75,7 +75,6 @@ LIVE_ARM = LiveSettings()
 
 MAX_JOINTS_NAMED = 3
 
-RESTING = ("converged", "stalled")
 TRACKER_FIELDS = ("arm", "controller", "limits", "scene")  # of a problem; changes need a new tracker
 
 
@@ -365,7 +364,7 @@ class Solver:
         self._publish()  # the verdict need not wait for a step that has to be planned
         while True:
             self._step()
-            still = self._tracker.report.status in RESTING or self._tracker.target is None
+            still = self._tracker.report.status in ("converged", "stalled") or self._tracker.target is None
             if still and not self._problem.dragging_obstacle:
                 outdated.wait(LIVE_ARM.rest_interval)
             else:  # the arm moves in real time, however often another problem comes

@@ -32,6 +32,7 @@ from pinposture.control import Limits
 from pinposture.control.planner.avoidance import NO_BOUND, solve
 from pinposture.errors import InvalidValue, enumerated
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
+from pinposture.motion.tolerances import FULL
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, declared
 
 Array = NDArray[np.float64]
@@ -42,9 +43,6 @@ INDEPENDENT = 1e-9
 
 BALANCED = 1e-7
 """Largest error of torques from tensions, relative to the torques: the tolerance of the quadratic program."""
-
-FULL = 1.0 - 1e-6
-"""Share of the largest tension that counts as reached."""
 
 
 class Tendon(NamedTuple):

@@ -56,7 +56,6 @@ NANOSECONDS = 10**9
 MAX_SECONDS = 2**31 - 1
 """Largest int32 [s]."""
 
-MESSAGE = ("header", "joint_names", "points")
 POINT_ARRAYS = ("positions", "velocities", "accelerations", "effort")
 POINT = (*POINT_ARRAYS, "time_from_start")
 DURATION = ("sec", "nanosec")
@@ -121,7 +120,7 @@ def read_ros_message(path: Path) -> JointTrajectory:
     content = parse_json(path, text) if path.suffix.lower() == ".json" else _parse_yaml(path, text)
     if isinstance(content, dict) and "trajectory" in content:
         content = content["trajectory"]
-    _check_fields(path, "the message", content, MESSAGE)
+    _check_fields(path, "the message", content, ("header", "joint_names", "points"))
     joints = content.get("joint_names", [])
     if not isinstance(joints, list):
         raise FileError(path, f"joint_names is {joints!r}; allowed: a list of names")

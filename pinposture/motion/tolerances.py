@@ -101,5 +101,8 @@ ERROR_ROUNDING = 1e-12
 STEP_ROUNDING = 1e-9
 """Relative rounding error of a sum of steps."""
 
+FULL = 1.0 - 1e-6
+"""Share of a limit that counts as reached."""
+
 MARGIN_ROUNDING = 1e-3
 """Share of the margin to obstacles whose loss is not reported."""

@@ -179,14 +179,12 @@ def track(
     if status in ("stalled", "max_steps"):
         reason = describe_blocked_goal(arm, target, limits, scene) + reason
         if target.q is None and not isinstance(controller, Geodesic):
-            reason += f"; {NO_CONFIGURATION}"
+            reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
     if status == "max_steps":
         reason += f"; {RAISE_STEPS} {CONTINUE}"
     logger.info("%s: %s after %d steps: %s", controller.name, status, loop.record.steps, reason)
     return loop.record.run(arm, controller, limits, status, reason)
 
-
-NO_CONFIGURATION = "the target has no configuration: fit_points finds one, and Switching can then use it"
 
 CONTINUE = "continue"
 """End of the advice on a run that is out of steps, as long as nobody knows how many are enough."""

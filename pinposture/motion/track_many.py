@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-KEEP = ("motions", "ends")
-
 
 @dataclass(frozen=True)
 class _Setting:
@@ -118,7 +116,7 @@ def track_many(
     require_positive("tolerance", tolerance)
     if jobs is not None:
         check_jobs(jobs)
-    require_known("thing to keep", keep, KEEP)
+    require_known("thing to keep", keep, ("motions", "ends"))
     listed = _targets(arm, targets)
     configurations = _starts(arm, starts)
     count = _count_runs(len(listed), len(configurations))

@@ -49,8 +49,6 @@ Array = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
-INTERFACES = ("position", "velocity")
-PLANNING = ("process", "thread")
 
 MIN_CYCLE = 1e-4
 """Shortest duration of a cycle, relative to the nominal one."""
@@ -63,9 +61,6 @@ SLOW = 0.001
 """Velocity from which the lead of drives counts their friction in full, in `Arm.joint_units` per second. With
 0.02, eight joints with a friction of 0.11 rad stalled 0.8 mrad short of their target; with 0.001 they reached
 it to 0.2 mrad."""
-
-BRAKES_FIRST = "other limits of jerk take effect at rest; the arm brakes within the former ones"
-"""Reason for which the arm holds after a change of limits."""
 
 
 class Report(NamedTuple):
@@ -233,8 +228,8 @@ class Tracker:
         require_instance("arm", arm, Arm, "an Arm")
         period = cycle_of(limits)
         limits = cast(Limits, limits)  # checked by `cycle_of`
-        require_known("interface", interface, INTERFACES)
-        require_known("planning", planning, PLANNING)
+        require_known("interface", interface, ("position", "velocity"))
+        require_known("planning", planning, ("process", "thread"))
         require_instance("compensate", compensate, bool, "True or False")
         if compensate and interface == "velocity":
             raise InvalidValue("compensate", True, "False for drives that are sent velocities")
@@ -574,7 +569,7 @@ class Tracker:
         reason = stopped or self._target_problem()
         compensated = None
         if not reason and self._former is not None:
-            reason = BRAKES_FIRST
+            reason = "other limits of jerk take effect at rest; the arm brakes within the former ones"
         if not reason and self._pursuit.lasting:
             reason = self._describe_blockage("it has come no closer to its target", self._pursuit)
         rest = feedback.held

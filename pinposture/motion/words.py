@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pinposture.motion.tolerances import FULL
 from pinposture.placement.target import Moved
 from pinposture.units import error_text, length_text, number_text
 
@@ -299,10 +300,6 @@ def _sagging(summary: Mapping[str, Any]) -> dict[str, str]:
     return {
         "sag": f"under load the arm ends {length_text(sag['mean_error'])} off (mean of its points){clear}"
     }
-
-
-FULL = 1.0 - 1e-6
-"""Fraction of a limit that counts as reached."""
 
 
 def _shares(summary: Mapping[str, Any]) -> dict[str, str]:

@@ -298,9 +298,18 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
 ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
 MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] of a curve that count as a change
 
-SAMPLES_PER_LINK = 4
-REFINEMENTS = 5
-"""Number of parts of a link in the search for its farthest point, and number of search rounds."""
+
+class FarthestPointSettings(NamedTuple):
+    """How the point of a link that is farthest from a curve is searched."""
+
+    samples: int = 4
+    """Parts of the longest link in the first round, and ratio of their number from round to round."""
+
+    refinements: int = 5
+    """Number of search rounds."""
+
+
+FARTHEST_POINT = FarthestPointSettings()
 
 
 class Moved(NamedTuple):
@@ -420,18 +429,20 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
     starts = ends[:-1]
     links = np.diff(ends, axis=0)
     longest = float(np.linalg.norm(links, axis=1).max())
-    parts = np.maximum(np.ceil(SAMPLES_PER_LINK * np.linalg.norm(links, axis=1) / longest), 1.0).astype(int)
+    parts = np.maximum(np.ceil(FARTHEST_POINT.samples * np.linalg.norm(links, axis=1) / longest), 1.0).astype(
+        int
+    )
     link = np.repeat(np.arange(len(links)), parts + 1)
     share = np.concatenate([np.linspace(0.0, 1.0, count + 1) for count in parts])
     farthest = 0.0
-    for _ in range(REFINEMENTS):
+    for _ in range(FARTHEST_POINT.refinements):
         distances = curve.nearest(starts[link] + share[:, None] * links[link]).distance
         best = int(np.argmax(distances))
         farthest = max(farthest, float(distances[best]))
         center = share[best]
         width = 1.0 / parts[link[best]]
-        parts = parts * SAMPLES_PER_LINK
-        share = np.clip(np.linspace(center - width, center + width, 2 * SAMPLES_PER_LINK + 1), 0.0, 1.0)
+        parts = parts * FARTHEST_POINT.samples
+        share = np.clip(np.linspace(center - width, center + width, 2 * FARTHEST_POINT.samples + 1), 0.0, 1.0)
         link = np.full(len(share), link[best])
     return farthest
 

@@ -64,7 +64,6 @@ class ScanLook(NamedTuple):
 
 SCAN = ScanLook()
 
-LOAD_KINDS = ("scan", "obstacle")
 EXPLANATION = (
     "A **scan** (a mesh or points) is shown with its clearance, but the arm does **not** avoid it. "
     "An **obstacle** it avoids, and it can move within its cavities."
@@ -129,7 +128,7 @@ class ScanControls:
         gui = server.gui
         self._folder: Path | None = None
         gui.add_markdown(EXPLANATION)
-        self._kind = gui.add_dropdown("Load as", LOAD_KINDS, hint="Files: .ply .xyz .npy .stl .obj")
+        self._kind = gui.add_dropdown("Load as", ("scan", "obstacle"), hint="Files: .ply .xyz .npy .stl .obj")
         hint = "Scale factor of an obstacle: 0.001 for a file in millimetres"
         self._scale = gui.add_number("scale", 1.0, min=0.0, step=0.001, hint=hint, visible=False)
         self._path = gui.add_text("File", "", hint="File name, relative to the folder of the task")
