@@ -11,26 +11,31 @@ from pinposture.kernels.arrays import (
     Array2,
     Array3,
     Flags1,
-    Flags2,
     Ints1,
     PathContacts,
     PathProblem,
     PathRows,
     PointObjective,
 )
+from pinposture.kernels.chain_lanes import (
+    COST,
+    GAINS,
+    LANES,
+    factor_lanes,
+    move_lanes,
+    pull_lanes,
+    solve_lanes,
+)
 from pinposture.kernels.chain_solver import (
-    factor,
     find_screws,
     minimise_in_box,
     minimise_points,
     move_bodies,
-    move_points,
     pull_bodies,
     pull_points,
-    solve_factored,
     stiffness,
 )
-from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.compiled import compiled, inlined, subkernel
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.path_following import spline_bends
 
@@ -70,6 +75,11 @@ class RelaxationSettings(NamedTuple):
 
 
 RELAXATION = RelaxationSettings()
+
+SEGMENT_OF = (0, 8, 4, 12, 2, 6, 10, 14, 1, 3, 5, 7, 9, 11, 13, 15)
+LANE_OF = (0, 8, 4, 9, 2, 10, 5, 11, 1, 12, 6, 13, 3, 14, 7, 15)
+"""The segment of a path in each lane, and the lane of each segment. Those whose first waypoints are eliminated
+later come first, so that each elimination concerns the second half of the lanes that are left."""
 
 
 # The energy of a path (see `trajectory_optimization`) couples each waypoint only with its two neighbours.
@@ -329,11 +339,15 @@ def _sum_distances(one: Array2, other: Array2) -> float:
 
 # With additional rows, all waypoints move together by damped Gauss-Newton steps, whose normal equations only
 # couple neighbours. Conjugate gradients solve them with products by J and J^T, which are passes along the
-# arm. The preconditioner is a block Cholesky factor, which solves for one waypoint after another and back:
-# each solve is least squares along the chain, in which a contact adds to the cost of the motion of a body.
-# The diagonal blocks of the factor are approximated by multiples of M = J^T J + mu^2 I, which is exact if J
-# is constant along the path and there are no contacts. Of two bodies in contact, each is treated as if the
-# other were fixed.
+# arm. The preconditioner is a block Cholesky factor: each block is solved by least squares along the chain,
+# in which a contact adds to the cost of the motion of a body. The blocks of the factor are approximated by
+# multiples of M = J^T J + mu^2 I on the diagonal and of J_i^T J_k + mu^2 I beside it, which is exact if J is
+# constant along the path and there are no contacts. Of two bodies in contact, each is treated as if the other
+# were fixed.
+#
+# The path is divided into as many segments as there are lanes (`chain_lanes`), and waypoints are eliminated
+# in all segments at once: chunk k holds waypoint k of each segment. The first waypoints of the segments
+# follow, every second one of those that are left at a time.
 
 
 @compiled
@@ -367,9 +381,7 @@ def step_waypoints(
     rotations = np.empty((m, 3, 3))
     positions = start.copy()
     slope = np.zeros((last + 1, n))
-    downhill = np.empty((last + 1, n))
     force = np.empty((m, 3))
-    no_chords = np.zeros(m)
     typical = 0.0
     for i in range(last + 1):
         _set_positions(start, chain.inputs, which, units, x[i], positions)
@@ -382,58 +394,56 @@ def step_waypoints(
         pull_points(screws[i], own_ends, points[i], force, slope[i])
         for u in range(n):
             slope[i, u] += weight * (2.0 * x[i, u] - x[i - 1, u] - x[i + 1, u])
-        typical += stiffness(PointObjective(screws[i], own_ends, points[i], np.ones(m), no_chords)) / (
+        typical += stiffness(PointObjective(screws[i], own_ends, points[i], np.ones(m), np.zeros(m))) / (
             last - 1
         )
-    # Blocks of the factor: stiff[i] M + damping, by d_1 = 2 + damping, d_{i+1} = 2 + damping - 1 / d_i.
-    own = damping * typical
-    stiff = np.zeros(last + 1)
-    pivot = 2.0 + damping
-    for i in range(1, last):
-        stiff[i] = pivot - damping
-        pivot = 2.0 + damping - 1.0 / pivot
+    packed, ways = _pack_chains(screws, points)
+    chains = own_ends, packed, ways
+    chunks = len(packed)
+    diagonals, before, after = _couple(last, damping, chunks)
+    gains = np.empty((chunks, n, GAINS * LANES))
+    free = np.zeros((chunks, n, LANES))
+    factor = _Factor(diagonals, before, after, gains, free)
+    size = weight, damping * typical
     active = contacts.errors > 0.0
-    held = np.zeros((last + 1, n), dtype=np.bool_)
     wrenches = np.zeros((len(active), 2, 6))
     values = np.empty(len(active))
-    parts = (rows, contacts, wrenches, active)
-    scratch = np.empty((n + 1, 6))
+    twists = np.empty((n + 1, 6))
     for i in range(1, last):
         _find_wrenches(contacts, i, own_ends, points[i], wrenches)
-    gains = np.empty((last + 1, n, 11))
-    bodies = np.empty((n, 6, 6))
     total = 0
+    moves = np.zeros((chunks, n + 3 * m, LANES))
+    right = np.zeros((chunks, n, LANES))
     steps[:] = 0.0
     for _ in range(RELAXATION.set_changes):
-        downhill[:] = -slope
-        for row in range(len(rows.errors)):
+        every = _join_rows(rows, contacts, wrenches, active, (screws, own_ends, points))
+        downhill = -slope
+        for row in range(len(every.errors)):
             for u in range(n):
-                downhill[rows.waypoints[row], u] += rows.errors[row] * rows.matrix[row, u]
+                downhill[every.waypoints[row], u] += every.errors[row] * every.matrix[row, u]
         for i in range(1, last):
-            here = screws[i], own_ends, points[i]
-            _pull_contacts(parts, i, contacts.errors, here, scratch, downhill[i])
+            chunk, lane = _place_of(i, chunks)
             for u in range(n):
                 above = x[i, u] >= upper[u] and downhill[i, u] > 0.0
-                held[i, u] = above or (x[i, u] <= lower[u] and downhill[i, u] < 0.0)
-                if held[i, u]:
-                    downhill[i, u] = 0.0
-                    steps[i, u] = 0.0
-            _collect_contacts(parts, i, own_ends, bodies)
-            objective = PointObjective(screws[i], own_ends, points[i], np.full(m, stiff[i]), no_chords)
-            factor(objective, np.full(n, stiff[i] * weight + own), held[i], bodies, gains[i])
-        system = (screws, own_ends, points), parts, held, own, weight
-        total += _solve_by_conjugate_gradients(system, (stiff, gains), downhill, steps)
+                held = above or (x[i, u] <= lower[u] and downhill[i, u] < 0.0)
+                factor.free[chunk, u, lane] = 0.0 if held else 1.0
+                right[chunk, u, lane] = 0.0 if held else downhill[i, u]
+                if held:
+                    moves[chunk, u, lane] = 0.0
+        _factor_all(chains, size, factor, (contacts, wrenches, active))
+        total += _solve_by_conjugate_gradients(chains, every, size, factor, right, moves)
         changed = False
         for i in range(1, last):
-            here = screws[i], own_ends, points[i]
-            _move_contacts(parts, i, here, steps[i], scratch, values)
+            chunk, lane = _place_of(i, chunks)
+            for u in range(n):
+                steps[i, u] = moves[chunk, u, lane]
+                if not np.isfinite(steps[i, u]):
+                    return -1
+            _move_contacts(contacts, wrenches, i, (screws[i], own_ends, points[i]), steps[i], twists, values)
             for row in range(contacts.begins[i], contacts.begins[i + 1]):
                 counts = contacts.errors[row] > values[row]
                 changed = changed or counts != active[row]
                 active[row] = counts
-            for u in range(n):
-                if not np.isfinite(steps[i, u]):
-                    return -1
         if not changed:
             break
     return total
@@ -445,14 +455,186 @@ Chain = tuple[Array2, Ints1, Array2]
 Chains = tuple[Array3, Ints1, Array3]
 """The same of all waypoints."""
 
-Parts = tuple[PathRows, PathContacts, Array3, Flags1]
-"""Rows, contacts, their wrenches, and flags of the active contacts."""
+Chunks = tuple[Ints1, Array3, Array3]
+"""`chain_lanes.Lanes` of all chunks."""
 
-System = tuple[Chains, Parts, Flags2, float, float]
-"""The normal equations: chains, rows and contacts, joints held at each waypoint, damping, and weight."""
+Loads = tuple[PathContacts, Array3, Flags1]
+"""Contacts, their wrenches, and flags of the active ones."""
 
-Blocks = tuple[Array1, Array3]
-"""The preconditioner: multiple of M in the block of each waypoint, and gains of these."""
+Size = tuple[float, float]
+"""Weight of joint motion, and damping."""
+
+
+class _Factor(NamedTuple):
+    """The preconditioner. Couplings are multiples of J_i^T J_k + mu^2 I, with the other sign.
+
+    Attributes:
+        diagonals: multiple of M in the block of each waypoint, without the damping, (chunks, lanes).
+        before: coupling with the first waypoint of the segment; of first waypoints, with the one before that
+            remains, (chunks, lanes).
+        after: coupling with the next waypoint, or with the next first one that remains, (chunks, lanes).
+        gains: gains of the joints, (chunks, n, 7 lanes).
+        free: 1 for joints that move, 0 for those that are held, (chunks, n, lanes).
+    """
+
+    diagonals: Array2
+    before: Array2
+    after: Array2
+    gains: Array3
+    free: Array3
+
+
+@inlined
+def _place_of(i: int, chunks: int) -> tuple[int, int]:
+    """Return chunk and lane of a waypoint."""
+    return i % chunks, LANE_OF[i // chunks]
+
+
+@subkernel
+def _pack_chains(screws: Array3, points: Array3) -> tuple[Array3, Array3]:
+    """Return screws and the ways between points in lanes; zero for the ends of the path."""
+    last = len(screws) - 1
+    n = screws.shape[1]
+    m = points.shape[1]
+    chunks = (last + LANES - 1) // LANES
+    packed = np.zeros((chunks, n, 6 * LANES))
+    ways = np.zeros((chunks, m, 3 * LANES))
+    for i in range(1, last):
+        chunk, lane = _place_of(i, chunks)
+        for u in range(n):
+            for j in range(6):
+                packed[chunk, u, j * LANES + lane] = screws[i, u, j]
+        for k in range(1, m):
+            for j in range(3):
+                ways[chunk, k, j * LANES + lane] = points[i, k, j] - points[i, k - 1, j]
+    return packed, ways
+
+
+@subkernel
+def _couple(last: int, damping: float, chunks: int) -> tuple[Array2, Array2, Array2]:
+    """Eliminate waypoints as numbers; return diagonals and couplings of `_Factor`."""
+    diagonals = np.full((chunks, LANES), 2.0 + damping)
+    before = np.zeros((chunks, LANES))
+    after = np.zeros((chunks, LANES))
+    between = np.zeros(LANES + 1)  # couplings of first waypoints with the next one that remains
+    for segment in range(LANES):
+        lane = LANE_OF[segment]
+        first = segment * chunks
+        carried = 1.0 if 0 < first < last else 0.0
+        for k in range(1, chunks):
+            i = first + k
+            if i >= last:
+                break
+            ahead = 1.0 if i + 1 < last else 0.0
+            before[k, lane] = carried
+            after[k, lane] = ahead
+            share = 1.0 / diagonals[k, lane]
+            if carried > 0.0:
+                diagonals[0, lane] -= carried * carried * share
+            if k + 1 < chunks:
+                diagonals[k + 1, lane] -= ahead * ahead * share
+            elif ahead > 0.0:
+                diagonals[0, LANE_OF[segment + 1]] -= ahead * ahead * share
+            carried = carried * ahead * share
+        between[segment] = carried if first + chunks < last else 0.0
+    step = 1
+    while step < LANES:
+        for segment in range(step, LANES, 2 * step):
+            lane = LANE_OF[segment]
+            left = between[segment - step]
+            right = between[segment] if segment + step < LANES else 0.0
+            share = 1.0 / diagonals[0, lane]
+            before[0, lane] = left
+            after[0, lane] = right
+            diagonals[0, LANE_OF[segment - step]] -= left * left * share
+            if segment + step < LANES:
+                diagonals[0, LANE_OF[segment + step]] -= right * right * share
+            between[segment - step] = left * right * share
+        step = 2 * step
+    return diagonals - damping, before, after
+
+
+@subkernel
+def _join_rows(
+    rows: PathRows, contacts: PathContacts, wrenches: Array3, active: Flags1, chains: Chains
+) -> PathRows:
+    """Return the equations of rows and of active contacts."""
+    screws, ends, points = chains
+    n = screws.shape[1]
+    given = len(rows.errors)
+    count = given + np.count_nonzero(active)
+    matrix = np.zeros((count, n))
+    errors = np.empty(count)
+    waypoints = np.empty(count, dtype=np.int64)
+    matrix[:given] = rows.matrix
+    errors[:given] = rows.errors
+    waypoints[:given] = rows.waypoints
+    forces = np.zeros((n + 1, 6))
+    at = given
+    for i in range(1, len(screws) - 1):
+        for row in range(contacts.begins[i], contacts.begins[i + 1]):
+            if not active[row]:
+                continue
+            for side in range(2):
+                forces[contacts.carried[row, side]] += wrenches[row, side]
+            pull_bodies(screws[i], ends, points[i], forces, matrix[at])
+            for side in range(2):
+                forces[contacts.carried[row, side]] = 0.0
+            errors[at] = contacts.errors[row]
+            waypoints[at] = i
+            at += 1
+    return PathRows(matrix, errors, waypoints)
+
+
+@subkernel
+def _factor_all(chains: Chunks, size: Size, factor: _Factor, loads: Loads) -> None:
+    """Factor the blocks of all waypoints."""
+    ends, screws, ways = chains
+    contacts, wrenches, active = loads
+    weight, own = size
+    chunks = len(screws)
+    n = screws.shape[1]
+    last = len(contacts.begins) - 2
+    bodies = np.zeros((n, COST * LANES))
+    loaded = np.zeros(n, dtype=np.bool_)
+    for chunk in range(chunks):
+        for lane in range(LANES):
+            i = SEGMENT_OF[lane] * chunks + chunk
+            if not 0 < i < last:
+                continue
+            for row in range(contacts.begins[i], contacts.begins[i + 1]):
+                for side in range(2):
+                    carried = min(contacts.carried[row, side], ends[len(ends) - 1])
+                    if carried == 0 or not active[row]:
+                        continue
+                    _add_load(bodies[carried - 1], wrenches[row, side], lane)
+                    loaded[carried - 1] = True
+        stiff = factor.diagonals[chunk]
+        damping = stiff * weight + own
+        here = ends, screws[chunk], ways[chunk]
+        factor_lanes(here, stiff, damping, factor.free[chunk], bodies, loaded, factor.gains[chunk])
+        for u in range(n):
+            if loaded[u]:
+                bodies[u] = 0.0
+                loaded[u] = False
+
+
+@subkernel
+def _add_load(costs: Array1, wrench: Array1, lane: int) -> None:
+    """Add the square of the work of a wrench to the costs of a body in one lane, (21 lanes,)."""
+    at = lane
+    for a in range(3):
+        for b in range(a, 3):
+            costs[at] += wrench[a] * wrench[b]
+            at += LANES
+    for a in range(3):
+        for b in range(3, 6):
+            costs[at] += wrench[a] * wrench[b]
+            at += LANES
+    for a in range(3, 6):
+        for b in range(a, 6):
+            costs[at] += wrench[a] * wrench[b]
+            at += LANES
 
 
 @subkernel
@@ -481,9 +663,16 @@ def _find_wrenches(contacts: PathContacts, i: int, ends: Ints1, points: Array2, 
 
 
 @subkernel
-def _move_contacts(parts: Parts, i: int, here: Chain, step: Array1, twists: Array2, values: Array1) -> None:
+def _move_contacts(
+    contacts: PathContacts,
+    wrenches: Array3,
+    i: int,
+    here: Chain,
+    step: Array1,
+    twists: Array2,
+    values: Array1,
+) -> None:
     """Fill in by how much a step of a waypoint increases the distances of its contacts."""
-    _, contacts, wrenches, _ = parts
     begin = contacts.begins[i]
     end = contacts.begins[i + 1]
     if begin == end:
@@ -499,155 +688,178 @@ def _move_contacts(parts: Parts, i: int, here: Chain, step: Array1, twists: Arra
 
 
 @subkernel
-def _pull_contacts(
-    parts: Parts, i: int, factors: Array1, here: Chain, forces: Array2, filled: Array1
-) -> None:
-    """Add the joint efforts of a waypoint's active contacts, as forces times factors."""
-    _, contacts, wrenches, active = parts
-    any_active = False
-    forces[:] = 0.0
-    for row in range(contacts.begins[i], contacts.begins[i + 1]):
-        if active[row]:
-            any_active = True
-            for side in range(2):
-                force = forces[contacts.carried[row, side]]
-                own = wrenches[row, side]
-                for j in range(6):
-                    force[j] += factors[row] * own[j]
-    if any_active:
-        pull_bodies(here[0], here[1], here[2], forces, filled)
-
-
-@subkernel
-def _collect_contacts(parts: Parts, i: int, ends: Ints1, bodies: Array3) -> None:
-    """Fill in the cost of body motions due to the contacts of a waypoint, (n, 6, 6)."""
-    _, contacts, wrenches, active = parts
-    last = ends[len(ends) - 1]
-    bodies[:] = 0.0
-    for row in range(contacts.begins[i], contacts.begins[i + 1]):
-        for side in range(2):
-            carried = min(contacts.carried[row, side], last)
-            own = wrenches[row, side]
-            if carried == 0 or not active[row]:
-                continue
-            cost = bodies[carried - 1]
-            for a in range(6):
-                for b in range(6):
-                    cost[a, b] += own[a] * own[b]
-
-
-@subkernel
-def _solve_by_conjugate_gradients(system: System, blocks: Blocks, right: Array2, steps: Array2) -> int:
-    """Improve the steps of waypoints, (N + 1, n), until they approximately solve H steps = right."""
-    last = len(right) - 1
-    n = right.shape[1]
-    residual = np.zeros((last + 1, n))
-    product = np.zeros((last + 1, n))
-    solved = np.zeros((last + 1, n))
-    motions = np.zeros((last + 1, len(system[0][1]), 3))
-    factors = np.empty(len(system[1][3]))
-    _precondition(system, blocks, right, solved)
-    aim = RELAXATION.conjugate_residual**2 * _inner(right, solved)
-    _multiply(system, steps, motions, factors, product)
-    for i in range(1, last):
-        for u in range(n):
-            residual[i, u] = right[i, u] - product[i, u]
-    _precondition(system, blocks, residual, solved)
+def _solve_by_conjugate_gradients(
+    chains: Chunks, rows: PathRows, size: Size, factor: _Factor, right: Array3, moves: Array3
+) -> int:
+    """Improve the motions of joints and points, (chunks, n + 3 m, lanes), until H moves = right, nearly."""
+    residual = right.copy()
+    product = np.empty(moves.shape)
+    forces = np.empty(moves.shape)
+    solved = np.empty(moves.shape)
+    for chunk in range(len(moves)):
+        move_lanes((chains[0], chains[1][chunk], chains[2][chunk]), moves[chunk])
+    _precondition(chains, size, factor, right, forces, solved)
+    aim = RELAXATION.conjugate_residual**2 * _inner(right, right, solved)
+    _multiply(chains, rows, size, factor.free, moves, product)
+    _add(residual, -1.0, product)
+    _precondition(chains, size, factor, residual, forces, solved)
     direction = solved.copy()
-    size = _inner(residual, solved)
+    amount = _inner(right, residual, solved)
     for number in range(RELAXATION.conjugate_steps):
-        if not size > aim:
+        if not amount > aim:
             return number
-        _multiply(system, direction, motions, factors, product)
-        length = size / _inner(direction, product)
-        for i in range(1, last):
-            for u in range(n):
-                steps[i, u] += length * direction[i, u]
-                residual[i, u] -= length * product[i, u]
-        _precondition(system, blocks, residual, solved)
-        before = size
-        size = _inner(residual, solved)
-        for i in range(1, last):
-            for u in range(n):
-                direction[i, u] = solved[i, u] + size / before * direction[i, u]
+        _multiply(chains, rows, size, factor.free, direction, product)
+        length = amount / _inner(right, direction, product)
+        _add(moves, length, direction)
+        _add(residual, -length, product)
+        _precondition(chains, size, factor, residual, forces, solved)
+        before = amount
+        amount = _inner(right, residual, solved)
+        direction *= amount / before
+        _add(direction, 1.0, solved)
     return RELAXATION.conjugate_steps
 
 
 @subkernel
-def _inner(one: Array2, other: Array2) -> float:
-    total = 0.0
-    for i in range(1, len(one) - 1):
-        for u in range(one.shape[1]):
-            total += one[i, u] * other[i, u]
-    return total
+def _inner(like: Array3, one: Array3, other: Array3) -> float:
+    """Return the inner product of as many of the first rows as another array has."""
+    sums = np.zeros(LANES)
+    for chunk in range(len(like)):
+        for u in range(like.shape[1]):
+            for i in range(LANES):
+                sums[i] += one[chunk, u, i] * other[chunk, u, i]
+    return sums.sum()
 
 
 @subkernel
-def _multiply(system: System, steps: Array2, motions: Array3, factors: Array1, product: Array2) -> None:
-    """Compute H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
-    (screws, ends, points), parts, held, own, weight = system
-    rows, contacts, _, _ = parts
-    last = len(steps) - 1
-    n = steps.shape[1]
-    force = np.empty((len(ends), 3))
-    scratch = np.empty((n + 1, 6))
-    for i in range(1, last):
-        move_points(screws[i], ends, points[i], steps[i], motions[i])
-    for i in range(1, last):
-        for k in range(len(ends)):
-            for j in range(3):
-                force[k, j] = 2.0 * motions[i, k, j] - motions[i - 1, k, j] - motions[i + 1, k, j]
-        product[i] = 0.0
-        pull_points(screws[i], ends, points[i], force, product[i])
-        for u in range(n):
-            beside = steps[i - 1, u] + steps[i + 1, u]
-            product[i, u] += (2.0 * weight + own) * steps[i, u] - weight * beside
+def _add(filled: Array3, factor: float, added: Array3) -> None:
+    """Add a multiple of as many of the first rows as there are."""
+    for chunk in range(len(filled)):
+        for u in range(filled.shape[1]):
+            for i in range(LANES):
+                filled[chunk, u, i] += factor * added[chunk, u, i]
+
+
+@subkernel
+def _pass_on(filled: Array2, factors: Array1, weight: float, n: int, added: Array2) -> None:
+    """Add multiples of each lane, by the weight for the n joints."""
+    for row in range(len(filled)):
+        scale = weight if row < n else 1.0
+        for i in range(LANES):
+            filled[row, i] += scale * factors[i] * added[row, i]
+
+
+@subkernel
+def _pass_across(
+    filled: Array2, to: int, factor: float, weight: float, n: int, added: Array2, lane: int
+) -> None:
+    """Add a multiple of one lane to another, by the weight for the n joints."""
+    if factor == 0.0:
+        return
+    for row in range(len(filled)):
+        scale = weight * factor if row < n else factor
+        filled[row, to] += scale * added[row, lane]
+
+
+@subkernel
+def _multiply(
+    chains: Chunks, rows: PathRows, size: Size, free: Array3, moves: Array3, product: Array3
+) -> None:
+    """Compute H moves in the first n rows of the product, for motions of joints and points."""
+    ends, screws, ways = chains
+    weight, own = size
+    last = len(screws) - 1
+    n = screws.shape[1]
+    minus = np.full(LANES, -1.0)
+    for chunk in range(last + 1):
+        filled = product[chunk]
+        for row in range(len(filled)):
+            scale = 2.0 * weight + own if row < n else 2.0
+            for i in range(LANES):
+                filled[row, i] = scale * moves[chunk, row, i]
+        if chunk > 0:
+            _pass_on(filled, minus, weight, n, moves[chunk - 1])
+        if chunk < last:
+            _pass_on(filled, minus, weight, n, moves[chunk + 1])
+    for segment in range(LANES - 1):
+        one = LANE_OF[segment]
+        other = LANE_OF[segment + 1]
+        _pass_across(product[0], other, -1.0, weight, n, moves[last], one)
+        _pass_across(product[last], one, -1.0, weight, n, moves[0], other)
+    for chunk in range(last + 1):
+        pull_lanes((ends, screws[chunk], ways[chunk]), product[chunk])
     for row in range(len(rows.errors)):
-        i = rows.waypoints[row]
+        chunk, lane = _place_of(rows.waypoints[row], last + 1)
         moved = 0.0
         for u in range(n):
-            moved += rows.matrix[row, u] * steps[i, u]
+            moved += rows.matrix[row, u] * moves[chunk, u, lane]
         for u in range(n):
-            product[i, u] += moved * rows.matrix[row, u]
-    for i in range(1, last):
-        here = screws[i], ends, points[i]
-        if parts[3][contacts.begins[i] : contacts.begins[i + 1]].any():
-            _move_contacts(parts, i, here, steps[i], scratch, factors)
-            _pull_contacts(parts, i, factors, here, scratch, product[i])
+            product[chunk, u, lane] += moved * rows.matrix[row, u]
+    for chunk in range(last + 1):
         for u in range(n):
-            if held[i, u]:
-                product[i, u] = 0.0
+            for i in range(LANES):
+                product[chunk, u, i] *= free[chunk, u, i]
 
 
 @subkernel
-def _precondition(system: System, blocks: Blocks, right: Array2, solved: Array2) -> None:
-    """Apply the preconditioner: solve with the factor for the waypoints in order, then in reverse."""
-    (screws, ends, points), _, held, own, weight = system
-    stiff, gains = blocks
-    last = len(right) - 1
-    n = right.shape[1]
-    m = len(ends)
-    moved = np.zeros((m, 3))
-    errors = np.empty((m, 3))
-    chords = np.zeros(m)
-    centre = np.empty(n)
-    change = np.empty(n)
-    for turn in range(2):
-        moved[:] = 0.0
-        for place in range(1, last):
-            i = place if turn == 0 else last - place
-            beside = i - 1 if turn == 0 else i + 1
-            damping = np.full(n, stiff[i] * weight + own)
-            objective = PointObjective(screws[i], ends, points[i], np.full(m, stiff[i]), chords)
-            for u in range(n):
-                coupled = weight * solved[beside, u] if place > 1 else 0.0
-                centre[u] = (coupled + (right[i, u] if turn == 0 else 0.0)) / damping[u]
-                change[u] = 0.0
-            for k in range(m):
-                for j in range(3):
-                    errors[k, j] = moved[k, j] / stiff[i]
-            if turn == 0 or place > 1:
-                solve_factored((objective, errors, damping, centre), held[i], gains[i], change)
-            for u in range(n):
-                solved[i, u] = change[u] if turn == 0 else solved[i, u] + change[u]
-            move_points(screws[i], ends, points[i], solved[i], moved)
+def _precondition(
+    chains: Chunks, size: Size, factor: _Factor, right: Array3, forces: Array3, solved: Array3
+) -> None:
+    """Apply the preconditioner: eliminate one waypoint after another, then go back; `forces` is scratch."""
+    ends, screws, ways = chains
+    chunks = len(screws)
+    n = screws.shape[1]
+    weight = size[0]
+    heads = forces[0]
+    spare = np.empty((forces.shape[1], LANES))
+    for chunk in range(chunks):
+        forces[chunk, :n] = right[chunk]
+        forces[chunk, n:] = 0.0
+    for chunk in range(1, chunks):
+        here = ends, screws[chunk], ways[chunk]
+        solve_lanes(here, factor.gains[chunk], forces[chunk], LANES, solved[chunk])
+        _pass_on(heads, factor.before[chunk], weight, n, solved[chunk])
+        if chunk + 1 < chunks:
+            _pass_on(forces[chunk + 1], factor.after[chunk], weight, n, solved[chunk])
+            continue
+        for segment in range(LANES - 1):
+            lane = LANE_OF[segment]
+            ahead = factor.after[chunk, lane]
+            _pass_across(heads, LANE_OF[segment + 1], ahead, weight, n, solved[chunk], lane)
+    here = ends, screws[0], ways[0]
+    solved[0, :, 0] = 0.0
+    step = 1
+    while step < LANES:
+        solve_lanes(here, factor.gains[0], heads, LANES // step, spare)
+        for segment in range(step, LANES, 2 * step):
+            lane = LANE_OF[segment]
+            solved[0, :, lane] = spare[:, lane]
+            _pass_across(heads, LANE_OF[segment - step], factor.before[0, lane], weight, n, solved[0], lane)
+            if segment + step < LANES:
+                _pass_across(heads, LANE_OF[segment + step], factor.after[0, lane], weight, n, solved[0], lane)
+        step = 2 * step
+    step = LANES // 4
+    while step > 0:
+        for segment in range(step, LANES, 2 * step):
+            lane = LANE_OF[segment]
+            heads[:, lane] = 0.0
+            _pass_across(heads, lane, factor.before[0, lane], weight, n, solved[0], LANE_OF[segment - step])
+            if segment + step < LANES:
+                _pass_across(heads, lane, factor.after[0, lane], weight, n, solved[0], LANE_OF[segment + step])
+        solve_lanes(here, factor.gains[0], heads, LANES // step, spare)
+        for segment in range(step, LANES, 2 * step):
+            solved[0, :, LANE_OF[segment]] += spare[:, LANE_OF[segment]]
+        step = step // 2
+    for chunk in range(chunks - 1, 0, -1):
+        forces[chunk] = 0.0
+        _pass_on(forces[chunk], factor.before[chunk], weight, n, solved[0])
+        if chunk + 1 < chunks:
+            _pass_on(forces[chunk], factor.after[chunk], weight, n, solved[chunk + 1])
+        else:
+            for segment in range(LANES - 1):
+                lane = LANE_OF[segment]
+                ahead = factor.after[chunk, lane]
+                _pass_across(forces[chunk], lane, ahead, weight, n, solved[0], LANE_OF[segment + 1])
+        here = ends, screws[chunk], ways[chunk]
+        solve_lanes(here, factor.gains[chunk], forces[chunk], LANES, spare)
+        solved[chunk] += spare
