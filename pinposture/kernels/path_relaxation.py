@@ -412,6 +412,7 @@ def step_waypoints(
     for i in range(1, last):
         _find_wrenches(contacts, i, own_ends, points[i], wrenches)
     total = 0
+    aim = 0.0
     moves = np.zeros((chunks, n + 3 * m, LANES))
     right = np.zeros((chunks, n, LANES))
     steps[:] = 0.0
@@ -431,7 +432,8 @@ def step_waypoints(
                 if held:
                     moves[chunk, u, lane] = 0.0
         _factor_all(chains, size, factor, (contacts, wrenches, active))
-        total += _solve_by_conjugate_gradients(chains, every, size, factor, right, moves)
+        count, aim = _solve_by_conjugate_gradients(chains, every, size, factor, right, moves, aim)
+        total += count
         changed = False
         for i in range(1, last):
             chunk, lane = _place_of(i, chunks)
@@ -689,25 +691,38 @@ def _move_contacts(
 
 @subkernel
 def _solve_by_conjugate_gradients(
-    chains: Chunks, rows: PathRows, size: Size, factor: _Factor, right: Array3, moves: Array3
-) -> int:
-    """Improve the motions of joints and points, (chunks, n + 3 m, lanes), until H moves = right, nearly."""
+    chains: Chunks, rows: PathRows, size: Size, factor: _Factor, right: Array3, moves: Array3, aim: float
+) -> tuple[int, float]:
+    """Improve the motions of joints and points, (chunks, n + 3 m, lanes), until H moves = right, nearly.
+
+    Args:
+        chains: the chains.
+        rows: equations that are added to the energy.
+        size: weight and damping.
+        factor: the preconditioner.
+        right: right-hand side, (chunks, n, lanes).
+        moves: motions to begin with, of joints only; improved.
+        aim: size of the residual at which to end, at least; 0: the motions are zero.
+
+    Returns:
+        Number of iterations, and that size.
+    """
     residual = right.copy()
     product = np.empty(moves.shape)
     forces = np.empty(moves.shape)
     solved = np.empty(moves.shape)
-    for chunk in range(len(moves)):
-        move_lanes((chains[0], chains[1][chunk], chains[2][chunk]), moves[chunk])
-    _precondition(chains, size, factor, right, forces, solved)
-    aim = RELAXATION.conjugate_residual**2 * _inner(right, right, solved)
-    _multiply(chains, rows, size, factor.free, moves, product)
-    _add(residual, -1.0, product)
+    if aim > 0.0:
+        for chunk in range(len(moves)):
+            move_lanes((chains[0], chains[1][chunk], chains[2][chunk]), moves[chunk])
+        _multiply(chains, rows, size, factor.free, moves, product)
+        _add(residual, -1.0, product)
     _precondition(chains, size, factor, residual, forces, solved)
     direction = solved.copy()
     amount = _inner(right, residual, solved)
+    aim = max(aim, RELAXATION.conjugate_residual**2 * amount)
     for number in range(RELAXATION.conjugate_steps):
         if not amount > aim:
-            return number
+            return number, aim
         _multiply(chains, rows, size, factor.free, direction, product)
         length = amount / _inner(right, direction, product)
         _add(moves, length, direction)
@@ -717,7 +732,7 @@ def _solve_by_conjugate_gradients(
         amount = _inner(right, residual, solved)
         direction *= amount / before
         _add(direction, 1.0, solved)
-    return RELAXATION.conjugate_steps
+    return RELAXATION.conjugate_steps, aim
 
 
 @subkernel
@@ -750,15 +765,42 @@ def _pass_on(filled: Array2, factors: Array1, weight: float, n: int, added: Arra
 
 
 @subkernel
-def _pass_across(
-    filled: Array2, to: int, factor: float, weight: float, n: int, added: Array2, lane: int
+def _pass_between(
+    filled: Array2,
+    factors: Array1,
+    weight: float,
+    n: int,
+    added: Array2,
+    step: int,
+    offset: int,
+    back: bool,
 ) -> None:
-    """Add a multiple of one lane to another, by the weight for the n joints."""
-    if factor == 0.0:
-        return
-    for row in range(len(filled)):
-        scale = weight * factor if row < n else factor
-        filled[row, to] += scale * added[row, lane]
+    """Add multiples of the lanes of segments to those of others, by the weight for the n joints.
+
+    Args:
+        filled: the lanes that are added to.
+        factors: factors of the lanes, (lanes,).
+        weight: additional factor for joints.
+        n: number of joints.
+        added: the lanes that are added.
+        step: 0 for all segments, else odd multiples of it.
+        offset: number of segments from each of these to the other.
+        back: whether their lanes are those that are added to; the factors are theirs.
+    """
+    for segment in range(step, LANES, max(2 * step, 1)):
+        if not 0 <= segment + offset < LANES:
+            continue
+        own = LANE_OF[segment]
+        other = LANE_OF[segment + offset]
+        factor = factors[own]
+        if factor == 0.0:
+            continue
+        to = own if back else other
+        lane = other if back else own
+        for row in range(n):
+            filled[row, to] += weight * factor * added[row, lane]
+        for row in range(n, len(filled)):
+            filled[row, to] += factor * added[row, lane]
 
 
 @subkernel
@@ -781,20 +823,27 @@ def _multiply(
             _pass_on(filled, minus, weight, n, moves[chunk - 1])
         if chunk < last:
             _pass_on(filled, minus, weight, n, moves[chunk + 1])
-    for segment in range(LANES - 1):
-        one = LANE_OF[segment]
-        other = LANE_OF[segment + 1]
-        _pass_across(product[0], other, -1.0, weight, n, moves[last], one)
-        _pass_across(product[last], one, -1.0, weight, n, moves[0], other)
+    _pass_between(product[0], minus, weight, n, moves[last], 0, 1, False)
+    _pass_between(product[last], minus, weight, n, moves[0], 0, 1, True)
     for chunk in range(last + 1):
         pull_lanes((ends, screws[chunk], ways[chunk]), product[chunk])
+    own_moves = np.empty(n)
+    efforts = np.zeros(n)
     for row in range(len(rows.errors)):
-        chunk, lane = _place_of(rows.waypoints[row], last + 1)
+        waypoint = rows.waypoints[row]
+        chunk, lane = _place_of(waypoint, last + 1)
+        if row == 0 or rows.waypoints[row - 1] != waypoint:
+            for u in range(n):
+                own_moves[u] = moves[chunk, u, lane]
         moved = 0.0
         for u in range(n):
-            moved += rows.matrix[row, u] * moves[chunk, u, lane]
+            moved += rows.matrix[row, u] * own_moves[u]
         for u in range(n):
-            product[chunk, u, lane] += moved * rows.matrix[row, u]
+            efforts[u] += moved * rows.matrix[row, u]
+        if row == len(rows.errors) - 1 or rows.waypoints[row + 1] != waypoint:
+            for u in range(n):
+                product[chunk, u, lane] += efforts[u]
+                efforts[u] = 0.0
     for chunk in range(last + 1):
         for u in range(n):
             for i in range(LANES):
@@ -821,34 +870,28 @@ def _precondition(
         _pass_on(heads, factor.before[chunk], weight, n, solved[chunk])
         if chunk + 1 < chunks:
             _pass_on(forces[chunk + 1], factor.after[chunk], weight, n, solved[chunk])
-            continue
-        for segment in range(LANES - 1):
-            lane = LANE_OF[segment]
-            ahead = factor.after[chunk, lane]
-            _pass_across(heads, LANE_OF[segment + 1], ahead, weight, n, solved[chunk], lane)
+        else:
+            _pass_between(heads, factor.after[chunk], weight, n, solved[chunk], 0, 1, False)
     here = ends, screws[0], ways[0]
     solved[0, :, 0] = 0.0
     step = 1
     while step < LANES:
         solve_lanes(here, factor.gains[0], heads, LANES // step, spare)
-        for segment in range(step, LANES, 2 * step):
-            lane = LANE_OF[segment]
-            solved[0, :, lane] = spare[:, lane]
-            _pass_across(heads, LANE_OF[segment - step], factor.before[0, lane], weight, n, solved[0], lane)
-            if segment + step < LANES:
-                _pass_across(heads, LANE_OF[segment + step], factor.after[0, lane], weight, n, solved[0], lane)
+        for row in range(len(spare)):
+            for i in range(LANES // (2 * step), LANES // step):
+                solved[0, row, i] = spare[row, i]
+        _pass_between(heads, factor.before[0], weight, n, solved[0], step, -step, False)
+        _pass_between(heads, factor.after[0], weight, n, solved[0], step, step, False)
         step = 2 * step
     step = LANES // 4
     while step > 0:
-        for segment in range(step, LANES, 2 * step):
-            lane = LANE_OF[segment]
-            heads[:, lane] = 0.0
-            _pass_across(heads, lane, factor.before[0, lane], weight, n, solved[0], LANE_OF[segment - step])
-            if segment + step < LANES:
-                _pass_across(heads, lane, factor.after[0, lane], weight, n, solved[0], LANE_OF[segment + step])
+        heads[:] = 0.0
+        _pass_between(heads, factor.before[0], weight, n, solved[0], step, -step, True)
+        _pass_between(heads, factor.after[0], weight, n, solved[0], step, step, True)
         solve_lanes(here, factor.gains[0], heads, LANES // step, spare)
-        for segment in range(step, LANES, 2 * step):
-            solved[0, :, LANE_OF[segment]] += spare[:, LANE_OF[segment]]
+        for row in range(len(spare)):
+            for i in range(LANES // (2 * step), LANES // step):
+                solved[0, row, i] += spare[row, i]
         step = step // 2
     for chunk in range(chunks - 1, 0, -1):
         forces[chunk] = 0.0
@@ -856,10 +899,7 @@ def _precondition(
         if chunk + 1 < chunks:
             _pass_on(forces[chunk], factor.after[chunk], weight, n, solved[chunk + 1])
         else:
-            for segment in range(LANES - 1):
-                lane = LANE_OF[segment]
-                ahead = factor.after[chunk, lane]
-                _pass_across(forces[chunk], lane, ahead, weight, n, solved[0], LANE_OF[segment + 1])
+            _pass_between(forces[chunk], factor.after[chunk], weight, n, solved[0], 0, 1, True)
         here = ends, screws[chunk], ways[chunk]
         solve_lanes(here, factor.gains[chunk], forces[chunk], LANES, spare)
         solved[chunk] += spare
