@@ -434,6 +434,7 @@ IN_LOOPS = (
         "CollisionModel.clear_of_maps",
         "CollisionModel.count_movers",
         "CollisionModel.grow_trees",
+        "CollisionModel.keep_distance",
         "CollisionModel.nearest",
         "CollisionModel.minimum_along",
     ),

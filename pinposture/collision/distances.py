@@ -569,6 +569,45 @@ class PairDistances:
             spread = 1.0
         return best, pair
 
+    def keep_distance(
+        self,
+        kinematics: TreeKinematics,
+        q: Array,
+        offsets: Array,
+        asked: NDArray[np.bool_],
+        search: MotionSearch,
+    ) -> NDArray[np.bool_]:
+        """Return which of the straight joint motions that are asked for keep `search.below`, (N,).
+
+        Args:
+            kinematics: as for `minimum_on_motions`.
+            q: as for `minimum_on_motions`.
+            offsets: as for `minimum_on_motions`.
+            asked: which motions to check, (N,); the answer is False for all others.
+            search: settings of the search.
+        """
+        positions, others = kinematics.positions(q, offsets)
+        clear = asked.copy()
+        opened = np.empty(len(asked), dtype=np.bool_)
+        kernels.check_motions(
+            kinematics.joints,
+            self._carriers,
+            self._local,
+            self._arrays,
+            positions,
+            others[0],
+            search.below,
+            search.tolerance,
+            search.open_motion,
+            clear,
+            opened,
+        )
+        still = np.zeros((2, 3))
+        for piece in np.flatnonzero(opened):
+            ends = offsets[piece : piece + 2]
+            clear[piece] = self.minimum_on_motions(kinematics, q, ends, still, search)[0] >= search.below
+        return clear
+
     def grow_trees(
         self,
         kinematics: TreeKinematics,

@@ -747,6 +747,21 @@ class CollisionModel:
             lowest = min(lowest, found)
         return Closest(lowest, None)
 
+    def keep_distance(
+        self, q0: Array, offsets: Array, least: float, asked: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Return which straight joint motions keep a distance, (N,), given that they begin with it.
+
+        Args:
+            q0: as for `minimum_on_motions`.
+            offsets: as for `minimum_on_motions`.
+            least: the distance [m].
+            asked: which motions to check, (N,); the answer is False for all others.
+        """
+        size = self._arm_length
+        search = MotionSearch(least, least, MOTION_TOLERANCE * size, OPEN_MOTION * size)
+        return self._distances.keep_distance(self._kinematics, q0, offsets, asked, search)
+
     def grow_trees(
         self,
         q0: Array,

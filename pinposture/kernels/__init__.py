@@ -40,7 +40,7 @@ _KERNELS = {
         "contacts_along differentiate_distances near_pairs place_axes place_joints smallest_distance"
     ),
     "constrained_step": "minimise_with_rows",
-    "continuous_collision": "smallest_distance_on_motions",
+    "continuous_collision": "check_motions smallest_distance_on_motions",
     "dynamics": "gravity_gradient gravity_torques inverse_dynamics path_torques step_torques",
     "joint_response": "follow_commands watch_joints",
     "kinematics": ("carry_screws jacobians joints_along motions_along move_frame placements trace_points"),

@@ -11,7 +11,6 @@ from pinposture.kernels.arrays import (
     ArmArrays,
     Array1,
     Array2,
-    Array3,
     Bytes1,
     Flags1,
     Ints1,
@@ -59,15 +58,13 @@ ChainProblem = tuple[PointObjective, Array2, Array1, Array1]
 
 
 @subkernel
-def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Array3, gains: Array2) -> None:
+def factor(objective: PointObjective, damping: Array1, held: Flags1, gains: Array2) -> None:
     """Run the pass from the tip to the base, without right-hand sides.
 
     Args:
         objective: points and chords.
         damping: D, (n,), positive.
         held: True for joints that are held, (n,).
-        bodies: cost of the motion of the body that each joint carries, (n, 6, 6): of the velocity of the
-            first point that it carries, and of its angular velocity. Empty if there is none.
         gains: filled with the gains for `solve_factored`, (n, 11).
     """
     b, ends, points, weights, chords = objective
@@ -90,8 +87,6 @@ def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Arr
                 P[6 + j, 3 + i] = P[i, 6 + j]
             P[3 + i, 3 + i] += chords[k]
         for u in range(ends[k] - 1, first - 1, -1):
-            if len(bodies):
-                _add_body(P, bodies[u])
             b0 = b[u, 0]
             b1 = b[u, 1]
             b2 = b[u, 2]
@@ -136,21 +131,6 @@ def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Arr
                     P[i, j] = P[3 + i, 3 + j]
         if k:
             _shift_to_previous(P, turned, points[k], points[k - 1])
-
-
-@subkernel
-def _add_body(P: Array2, body: Array2) -> None:
-    """Add the cost of (v + displacement, w)."""
-    for i in range(6):
-        for j in range(6):
-            P[3 + i, 3 + j] += body[i, j]
-    for i in range(3):
-        for j in range(3):
-            P[i, j] += body[i, j]
-            P[i, 3 + j] += body[i, j]
-            P[3 + i, j] += body[i, j]
-            P[i, 6 + j] += body[i, 3 + j]
-            P[6 + i, j] += body[3 + i, j]
 
 
 @subkernel
@@ -834,7 +814,6 @@ def minimise_in_box(
     gains = np.empty((n, 11))
     slope = np.empty(n)
     missed = np.empty((m, 6))
-    no_bodies = np.empty((0, 6, 6))
     held = np.empty(n, dtype=np.bool_)
     interior = np.empty(n)
     solved = 0
@@ -846,7 +825,7 @@ def minimise_in_box(
                 any_held = any_held or held[u]
                 if held[u]:
                     x[u] = upper[u] if sides[u] > 0 else lower[u]
-            factor(objective, damping, held, no_bodies, gains)
+            factor(objective, damping, held, gains)
             solve_factored(problem, held, gains, x)
             solved += 1
             if any_held:
@@ -910,7 +889,6 @@ def _interior_point(
     slope = np.empty(n)
     missed = np.empty((m, 6))
     held = np.zeros(n, dtype=np.bool_)
-    no_bodies = np.empty((0, 6, 6))
     # multipliers of the sides
     low = np.zeros(n)
     high = np.zeros(n)
@@ -976,7 +954,7 @@ def _interior_point(
                 stiff[u] = damping[u] + p + r
                 pulled[u] = (damping[u] * centre[u] + (p + r) * x[u] + push) / stiff[u]
             if not corrector:
-                factor(objective, stiff, held, no_bodies, gains)
+                factor(objective, stiff, held, gains)
             solve_factored((objective, errors, stiff, pulled), held, gains, trial)
             # The longest step that keeps x within the bounds and the multipliers positive.
             reach = 1.0

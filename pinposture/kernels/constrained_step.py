@@ -174,7 +174,7 @@ def _find_alone(problem: ChainProblem, box: tuple[Array1, Array1], rows: Array2)
     held = np.empty(n, dtype=np.bool_)
     for u in range(n):
         held[u] = not box[1][u] > box[0][u]
-    factor(objective, damping, held, np.empty((0, 6, 6)), gains)
+    factor(objective, damping, held, gains)
     for row in range(len(rows)):
         for u in range(n):
             total += gains[u, 10] * rows[row, u] ** 2
@@ -199,14 +199,13 @@ def _find_schur(
     count = len(which)
     gains = np.empty((n, 11))
     held = np.empty(n, dtype=np.bool_)
-    no_bodies = np.empty((0, 6, 6))
     force = np.empty(n)
     no_errors = np.zeros_like(errors)
     schur = np.zeros((count, count))
     alone = np.zeros(count)
     for u in range(n):
         held[u] = sides[u] != 0 or not box[1][u] > box[0][u]
-    factor(objective, damping, held, no_bodies, gains)
+    factor(objective, damping, held, gains)
     for k in range(count):
         for u in range(n):
             force[u] = 0.0 if held[u] else rows[which[k], u] / damping[u]

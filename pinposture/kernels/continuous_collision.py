@@ -27,6 +27,7 @@ from pinposture.kernels.arrays import (
     Array1,
     Array2,
     Array3,
+    Flags1,
     Ints1,
     Joints,
     Pairs,
@@ -234,6 +235,59 @@ def smallest_distance_on_motions(
             right[depth] = True
             low = low + width
     return best, best_pair, opened
+
+
+@compiled
+def check_motions(
+    joints: Joints,
+    carriers: Ints1,
+    local: Array3,
+    pairs: Pairs,
+    positions: Array2,
+    others: Array2,
+    least: float,
+    tolerance: float,
+    open_motion: float,
+    clear: Flags1,
+    opened: Flags1,
+) -> None:
+    """Find out which straight motions keep a distance, each by itself; see `smallest_distance_on_motions`.
+
+    Args:
+        joints: the joints.
+        carriers: as there.
+        local: as there.
+        pairs: the pairs.
+        positions: joint positions at the ends of the motions, (N + 1, nv).
+        others: as there.
+        least: the distance.
+        tolerance: as there.
+        open_motion: as there.
+        clear: whether a motion is to be checked; filled with whether exact pairs keep the distance, (N,).
+        opened: filled with whether inexact pairs are left open, (N,).
+    """
+    still = np.zeros((2, 3))
+    nothing = np.empty((0, 6))
+    for piece in range(len(clear)):
+        opened[piece] = False
+        if not clear[piece]:
+            continue
+        distance, _, count = smallest_distance_on_motions(
+            joints,
+            carriers,
+            local,
+            pairs,
+            positions[piece : piece + 2],
+            others,
+            still,
+            least,
+            least,
+            tolerance,
+            open_motion,
+            nothing,
+        )
+        clear[piece] = distance >= least
+        opened[piece] = clear[piece] and count > 0
 
 
 @inlined

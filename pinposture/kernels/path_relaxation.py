@@ -78,8 +78,8 @@ RELAXATION = RelaxationSettings()
 
 SEGMENT_OF = (0, 8, 4, 12, 2, 6, 10, 14, 1, 3, 5, 7, 9, 11, 13, 15)
 LANE_OF = (0, 8, 4, 9, 2, 10, 5, 11, 1, 12, 6, 13, 3, 14, 7, 15)
-"""The segment of a path in each lane, and the lane of each segment. Those whose first waypoints are eliminated
-later come first, so that each elimination concerns the second half of the lanes that are left."""
+"""The segment of a path in each lane, and the lane of each segment. Those whose first waypoints are
+eliminated later come first, so that each elimination concerns the second half of the lanes left."""
 
 
 # The energy of a path (see `trajectory_optimization`) couples each waypoint only with its two neighbours.

@@ -6,6 +6,7 @@ import gc
 import pickle
 import threading
 import weakref
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -108,6 +109,28 @@ def test_the_minimum_among_many_obstacles_is_that_of_dense_samples(seed):
     dense = clearance.minimum_along(q, np.linspace(0.0, 1.0, 1001)[:, None] * dq).distance
     found = clearance.minimum_between(q, dq).distance
     assert dense - 2e-3 * arm.length <= found <= dense + MOTION_TOLERANCE * arm.length
+
+
+def test_each_motion_keeps_a_distance_as_its_samples_do():
+    """Also from a mesh, which the kernel leaves open; motions that are not asked for are not checked."""
+    arm = spatial()
+    rng = np.random.default_rng(5)
+    clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=False))
+    assert clearance._distances._open > 0
+    q = arm.checked(arm.neutral())
+    walk = np.cumsum(0.2 * rng.normal(size=(40, arm.nv)) * arm.joint_units, axis=0)
+    shares = np.linspace(0.0, 1.0, 100)[:, None]
+    motions = [one + shares * (other - one) for one, other in pairwise(walk)]
+    lowest = np.array([clearance.minimum_along(q, motion).distance for motion in motions])
+    begins = np.array([clearance.minimum_along(q, one[None]).distance for one in walk[:-1]])
+    asked = rng.random(len(lowest)) < 0.8
+    slack = 5e-3 * arm.length
+    for least in np.quantile(lowest, [0.3, 0.5, 0.7]):
+        kept = clearance.keep_distance(q, walk, least, asked)
+        assert not kept[~asked].any()
+        assert kept[asked & (lowest > least + slack)].all()
+        assert not kept[(lowest < least - slack) & (begins >= least)].any()  # it is given to begin with it
+        assert 3 < kept.sum() < asked.sum() - 3
 
 
 def test_the_minimum_between_sees_obstacles_move():

@@ -482,8 +482,8 @@ class _PathRelaxation:
         if clear.all():  # a piece is clear if its ends are much nearer to each other than to obstacles
             points = self._objective.arm.kinematics.points(self._positions + offsets)
             moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-            for i in np.flatnonzero((lowest - least < 2.0 * moved) & ~known):
-                clear[i] = avoidance.keeps(self._start, offsets[i : i + 2], least)
+            doubtful = (lowest - least < 2.0 * moved) & ~known
+            clear = ~doubtful | avoidance.clearance.keep_distance(self._start, offsets, least, doubtful)
         return contacts, clear
 
     def _step(self, now: _Iterate, damping: float) -> Array | None:
