@@ -118,8 +118,8 @@ def test_each_motion_keeps_a_distance_as_its_samples_do():
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=False))
     assert clearance._distances._open > 0
     q = arm.checked(arm.neutral())
-    walk = np.cumsum(0.2 * rng.normal(size=(40, arm.nv)) * arm.joint_units, axis=0)
-    shares = np.linspace(0.0, 1.0, 100)[:, None]
+    walk = np.cumsum(0.2 * rng.normal(size=(24, arm.nv)) * arm.joint_units, axis=0)
+    shares = np.linspace(0.0, 1.0, 50)[:, None]
     motions = [one + shares * (other - one) for one, other in pairwise(walk)]
     lowest = np.array([clearance.minimum_along(q, motion).distance for motion in motions])
     begins = np.array([clearance.minimum_along(q, one[None]).distance for one in walk[:-1]])
@@ -130,7 +130,7 @@ def test_each_motion_keeps_a_distance_as_its_samples_do():
         assert not kept[~asked].any()
         assert kept[asked & (lowest > least + slack)].all()
         assert not kept[(lowest < least - slack) & (begins >= least)].any()  # it is given to begin with it
-        assert 3 < kept.sum() < asked.sum() - 3
+        assert 2 < kept.sum() < asked.sum() - 2
 
 
 def test_the_minimum_between_sees_obstacles_move():
