@@ -606,7 +606,7 @@ class PairDistances:
         for piece in np.flatnonzero(opened):
             ends = offsets[piece : piece + 2]
             clear[piece] = self.minimum_on_motions(kinematics, q, ends, still, search)[0] >= search.below
-        return clear
+        return np.asarray(clear)
 
     def grow_trees(
         self,
