@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from operate.test_operation import Desk, bent_arm, fed_arm
 
 import pinposture as pp
+from pinposture.operate import SimulatedArm
 from pinposture.operate.ways import CurveAlong, read_steps
 
 pytestmark = pytest.mark.long
@@ -131,6 +133,41 @@ def test_an_arm_off_the_path_of_its_tip_is_not_steered_before_it_is_back() -> No
     np.testing.assert_allclose(desk.q, on_path, atol=1e-4)
     desk.run(2.5, lambda: desk.hold((-1.0, 0.0, 0.0)))
     np.testing.assert_allclose(desk.q, desk.arm.neutral(), atol=1e-3)
+
+
+def test_an_arm_with_a_joint_that_sticks_is_led_out_with_that_joint_locked() -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    desk = Desk(fed_arm())
+    simulated = SimulatedArm(desk.arm, desk.operation, desk.limits)
+
+    def cycles(count: int, tell: Callable[[], object]) -> None:
+        for _ in range(count):
+            desk.now += 0.02
+            tell()
+            assert simulated.cycle()
+
+    cycles(120, lambda: desk.hold((1.0, 1.0, 0.0)))
+    cycles(60, lambda: desk.tell(do="release"))
+    led = desk.operation.shown.led
+    assert led is not None and led[0] > 0.02
+    joint = desk.arm.joint_names[1 + int(np.abs(desk.arm.positions(led)[1:]).argmax())]
+    simulated.fail(joint)
+    cycles(150, lambda: desk.hold((-1.0, 0.0, 0.0)))
+    assert desk.operation.ways._finder.finish(60.0)
+    cycles(5, lambda: desk.hold((-1.0, 0.0, 0.0)))
+    assert desk.operation.shown.reason == "a joint is stuck; release, and hold again"
+    assert simulated.tracker.arm is not desk.arm
+    inside = desk.operation.shown.measured
+    assert inside is not None and inside[0] > 0.005
+    cycles(5, lambda: desk.tell(do="release"))
+    cycles(400, lambda: along(desk, 1.0))
+    out = desk.operation.shown.measured
+    assert out is not None
+    column = desk.arm.joint_names.index(joint)
+    others = np.delete(np.abs(desk.arm.positions(out)), column)
+    assert others.max() < 0.005
+    assert desk.arm.positions(out)[column] == pytest.approx(desk.arm.positions(inside)[column], abs=0.005)
+    simulated.close()
 
 
 def test_steps_are_the_keyframes_of_a_task_for_the_same_arm(tmp_path: Path) -> None:
