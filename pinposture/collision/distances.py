@@ -220,7 +220,7 @@ class DistanceBuffers(NamedTuple):
     """Initial sizes of buffers, and how finely motions are divided at once."""
 
     contacts: int = 32
-    """Near pairs per configuration."""
+    """Near pairs per configuration; twice as many as were found once that was too few."""
 
     open_samples: int = 1000
     """Samples of pairs without a closed form."""
@@ -318,6 +318,7 @@ class PairDistances:
             depths: how far beneath its surface the distance from each obstacle counts, (o,) [m]; None: 0.
         """
         self._narrow = Narrow()
+        self._near = BUFFERS.contacts
         self._solids = [*bodies, *fixed]
         self._joints = list(joints)
         self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
@@ -674,8 +675,8 @@ class PairDistances:
         """
         positions, others = kinematics.positions(q, offsets)
         minima = np.empty(len(positions))
-        room = BUFFERS.contacts * len(positions)
         while True:
+            room = self._near * len(positions)
             found = Contacts(
                 samples=np.empty(room, dtype=np.int64),
                 distances=np.empty(room),
@@ -696,7 +697,7 @@ class PairDistances:
             )
             if count <= room:
                 return Contacts._make([*(each[:count] for each in found[:-1]), minima])
-            room = count
+            self._near = 2 * count // len(positions) + 1
 
     def axes(self, pair: int, placements: Placements, place: Array) -> tuple[Array, Array]:
         """Return the axis ends of the bounding capsules of both solids of a pair, (2, 3) each [m].

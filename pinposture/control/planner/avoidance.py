@@ -151,9 +151,10 @@ STEP_CLEARANCE = 0.002
 """Clearance that steps keep beyond the margin, in arm lengths, to allow for curvature within a step."""
 
 PATH_CLEARANCE = 0.01
-PATH_SIGHT = 0.05
+PATH_SIGHT = 0.025
 """Clearance that a planned path keeps beyond the margin where possible, and further distance up to which
-pairs are considered while a path is relaxed, in arm lengths."""
+pairs are considered while a path is relaxed, in arm lengths. Of twice the sight, `docs/design/relaxation.md`
+tells the cost; `make study STUDY=clutter` guards both."""
 
 GAIN_SHARE = 0.5
 RETREAT_GAIN_SHARE = 0.9
