@@ -55,16 +55,21 @@ def study_clutter(
         InvalidValue: no kind, or invalid numbers.
         UnknownName: there is no such kind.
     """
+    cases = cases_of_clutter(kinds, seeds, first_seed)
+    return Study(cases, [Geodesic()], solve_problem)
+
+
+def cases_of_clutter(kinds: Sequence[str], seeds: int, first_seed: int) -> list[Case]:
+    """Return problems for an arm of 20 modules, 1 m; arguments and errors as for `study_clutter`."""
     check_study(first_seed, seeds=seeds, kinds=kinds)
     for kind in kinds:
         require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
     arm = situation_arm()
-    cases = [
+    return [
         Case({"kind": kind, "seed": seed}, partial(draw_problem, arm, kind, seed))
         for kind in kinds
         for seed in range(first_seed, first_seed + seeds)
     ]
-    return Study(cases, [Geodesic()], solve_problem)
 
 
 def solve_problem(problem: Problem, controller: Controller) -> Row:

@@ -10,12 +10,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases.clutter import KINDS_OF_CLUTTER, draw_problem
-from benchmarks.cases.situations import situation_arm
-from benchmarks.harness import Case, Problem, Row, Study, check_study, count, spread, summarise
+from benchmarks.cases.clutter import KINDS_OF_CLUTTER
+from benchmarks.harness import Problem, Row, Study, count, spread, summarise
 from benchmarks.report import Report, SeedOption, StudyOptions, split_names, spread_cell, table
-from benchmarks.studies.clutter import RUN_LIMITS, dense_clearance
-from pinposture._validation import require_known
+from benchmarks.studies.clutter import RUN_LIMITS, cases_of_clutter, dense_clearance
 from pinposture.cli.inputs import MOST_RUNS, MOTION
 from pinposture.cli.output import examples
 from pinposture.collision import CollisionModel, Scene, Sphere
@@ -46,15 +44,7 @@ def study_repair(
         InvalidValue: no kind, or invalid numbers.
         UnknownName: there is no such kind.
     """
-    check_study(first_seed, seeds=seeds, kinds=kinds)
-    for kind in kinds:
-        require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
-    arm = situation_arm()
-    cases = [
-        Case({"kind": kind, "seed": seed}, partial(draw_problem, arm, kind, seed))
-        for kind in kinds
-        for seed in range(first_seed, first_seed + seeds)
-    ]
+    cases = cases_of_clutter(kinds, seeds, first_seed)
     return Study(cases, [Geodesic()], partial(repair_path, first_seed))
 
 

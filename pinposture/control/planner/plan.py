@@ -36,7 +36,12 @@ from pinposture.control.planner.objective import (
 )
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import RELAXATION, FoundPath, PathSearch
-from pinposture.control.planner.trajectory_optimization import Penalties, TaskRows, direct_path, relax_path
+from pinposture.control.planner.trajectory_optimization import (
+    Penalties,
+    RowsAlongPath,
+    direct_path,
+    relax_path,
+)
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -524,7 +529,7 @@ class _Candidates:
         short: length up to which a clear path is good enough.
     """
 
-    def __init__(self, search: PathSearch, tasks: TaskRows | None, report: Report | None) -> None:
+    def __init__(self, search: PathSearch, tasks: RowsAlongPath | None, report: Report | None) -> None:
         self._search = search
         self._tasks = tasks
         self._report = report
@@ -635,7 +640,7 @@ def _hindered(path: JointPath, closest: Closest, avoidance: Avoidance) -> JointP
     return replace(path, blocked_by=f"no clear path was found; on the best one, {'; '.join(words)}")
 
 
-def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> TaskRows | None:
+def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> RowsAlongPath | None:
     """Return the rows of the tasks along the path; None without tasks."""
     if not objective.tasks:
         return None

@@ -35,7 +35,7 @@ from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 
 Array = NDArray[np.float64]
 
-TaskRows = Callable[[ChainState, float], LinearRows]
+RowsAlongPath = Callable[[ChainState, float], LinearRows]
 """Returns rows whose squares are added to the energy, for a state and its place on the path in [0, 1]."""
 
 
@@ -51,7 +51,7 @@ class Penalties(NamedTuple):
         until: time of `perf_counter` at which the relaxation ends.
     """
 
-    tasks: TaskRows | None = None
+    tasks: RowsAlongPath | None = None
     avoidance: Avoidance | None = None
     clearance_root: float = 0.0
     least: float = 0.0
