@@ -331,18 +331,17 @@ class Steering:
         """Lay a path from the tip on, and move along it by a distance [m], or less."""
         shares = STEERING.eased if np.any(curvature) else (1.0,)
         first = self._first_share(curvature)
-        bends_less = f"bends less: {self._refused}" if first else ""
         for index in range(first, len(shares)):
             found = self._move_on_arc(distance, shares[index] * curvature)
             if not isinstance(found, str):
                 self._eased = index
                 self._posture = found
-                self.reason = bends_less or found.reason
+                self.reason = f"bends less: {self._refused}" if index else found.reason
                 return
-            self._refused = found
-            bends_less = bends_less or f"bends less: {found}"
+            if index == 0:  # what is said is why not all of the curvature is possible
+                self._refused = found
         self._eased = len(shares) - 1
-        self.reason = bends_less.replace("bends less", "stands", 1)
+        self.reason = f"stands: {self._refused}"
 
     def _first_share(self, curvature: Array) -> int:
         """Return which of `STEERING.eased` to try first.
