@@ -388,7 +388,7 @@ def test_an_operator_leads_the_arm_and_nothing_else_does(graph: Any, driver: Dri
     way = 0.05 * arm.length
     assert hold(lambda: np.linalg.norm(tip() - start) > way), (driver.reason, operation.shown)
     moved = (tip() - start) / np.linalg.norm(tip() - start)
-    # Joints of the robot lag behind the command, each by its own weight, more on a busy machine: 0.94 was seen.
+    # Joints of the robot lag behind the command, each by its own weight: 0.94 was seen on a busy machine.
     assert moved @ np.array([-0.5, 0.0, 1.0]) / np.hypot(0.5, 1.0) > 0.9
 
     # A posture that is sent is refused; joints that are not measured hold it, whatever is held.
