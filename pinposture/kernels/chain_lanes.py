@@ -1,8 +1,8 @@
 """Least squares along several configurations of a chain at once, without chords: see `chain_solver`.
 
-A pass along a chain is a row of short sums, each of which waits for the one before. Eight configurations side
-by side, as the innermost index of every array, keep the processor busy meanwhile, and its vector registers
-full. A quantity with k components is a row of k times `LANES` numbers.
+A pass along a chain is a row of short sums, each of which waits for the one before. Sixteen configurations
+side by side, as the innermost index of every array, keep the processor busy meanwhile, and its vector
+registers full. A quantity with k components is a row of k times `LANES` numbers.
 """
 
 from __future__ import annotations

@@ -22,9 +22,10 @@ from pinposture.motion import Report, Tracker
 from pinposture.motion.feedback import JointFailure
 from pinposture.operate.control import Control, Order
 from pinposture.operate.leaders import MovedTip, TipLeader, leader_of
-from pinposture.operate.ways import NO_PLAN, WAYS, CurveAlong, NextStep, Planned, Ways, out_of, towards
+from pinposture.operate.ways import NO_PLAN, CurveAlong, NextStep, Planned, Ways, out_of, towards
 from pinposture.placement import Target
 from pinposture.placement.target import target_at
+from pinposture.task.retreat import WayIn
 from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
@@ -158,7 +159,7 @@ class Operation:
         self._mode = "holds"
         self._reason = "no cycle yet"
         self._led: Array | None = None
-        self._driven: list[Array] = []
+        self._way_in = WayIn(arm)
         self._next = 0
         self._stuck: JointFailure | None = None
         nothing = np.zeros((0, 3))
@@ -296,7 +297,7 @@ class Operation:
         if leader.q is not before:
             self._led = leader.q
             self.ways.lead(self.arm, before, self._led, not leader.withdraws)
-            self._record(self._led)
+            self._way_in.add(self._led)
         self._mode = "waits" if waits else "runs"
         self._reason = waits or leader.reason or "; ".join(tracker.report.violated_constraints)
         if leader.q is before and not waits:
@@ -315,7 +316,7 @@ class Operation:
         self._begun = away <= OPERATION.start * self.arm.length
         if self._begun:
             self._led = leader.q
-            self._record(leader.q)
+            self._way_in.add(leader.q)
         if order is None:
             go = (
                 ""
@@ -341,7 +342,7 @@ class Operation:
             return self._end_of_way(rate, waits or released)
         tracker.update(target)
         self._led = way.q
-        self._record(way.q)
+        self._way_in.add(way.q)
         self._mode = "waits" if waits else "stands" if way.reason else "runs"
         self._reason = waits or way.reason or "; ".join(tracker.report.violated_constraints)
         return ""
@@ -354,15 +355,6 @@ class Operation:
         self._mode = "stands"  # and takes the last target exactly
         self._reason = "the arm is at the end of the way" if rate > 0.0 else "nothing more can be driven back"
         return ""
-
-    def _record(self, q: Array) -> None:
-        """Keep a configuration, (nq,), in the record of the way in, or take back what was driven back."""
-        rows = self._driven
-        far = [float(np.abs(self.arm.difference(row, q) / self.arm.joint_units).max()) for row in rows[-2:]]
-        if len(far) == 2 and far[0] < far[1]:
-            rows.pop()
-        elif not far or far[-1] > WAYS.record:
-            rows.append(q)
 
     def _prepare(self, wish: str, scene: Scene) -> None:
         """Do what was asked for, one of `WISHES`."""
@@ -383,8 +375,7 @@ class Operation:
             self.ways.say("no joint is stuck")
         else:
             self.ways.say("whether the arm can come out is being looked for")
-            driven = np.array(self._driven)
-            find = out_of(self.arm, driven, self._stuck.joint, self._limits)
+            find = out_of(self.arm, self._way_in, self._stuck.joint, self._limits)
             self.ways.ask(f"out, with {self._stuck.joint} locked", led, scene, find)
 
     def _watch_joints(self, report: Report, measured: Array, scene: Scene) -> None:
@@ -394,9 +385,8 @@ class Operation:
         stuck = [each for each in report.failures if each.kind == "stuck"]
         if stuck:
             self._stuck = stuck[0]
-            self.control.lose(
-                "a joint is stuck; release, and hold again"
-            )  # what is held means another motion now
+            # What is held means another motion now.
+            self.control.lose("a joint is stuck; release, and hold again")
             self._velocity = np.zeros(3)
             self._led = measured
             self.ways.forget()

@@ -106,7 +106,8 @@ class SimulatedArm:
             self._map = Map(MAPPING.cell * arm.length, arm)
             known = known.with_obstacles({SEEN: self._map.cells})
         self.scene = known
-        self.tracker = Tracker(arm, limits=limits, scene=known, deadline=deadline)
+        self._deadline = deadline
+        self.tracker = self._new_tracker(arm)
         self._looking: Latest[Picture, None] = Latest(self._look, "pinposture-camera")
         self._pictures = 0
         self._failing: tuple[str, ...] | None = None
@@ -126,7 +127,7 @@ class SimulatedArm:
             self._failing = None
             self.plant.fail(stuck=failing)
         if self.tracker.arm is not self._operation.arm:
-            self.tracker = Tracker(self._operation.arm, limits=self._limits, scene=self.scene)
+            self.tracker = self._new_tracker(self._operation.arm)
         read = self._sensors.measure(self.plant.positions)
         measured = None if read is None else dict(zip(names, read.tolist(), strict=True))
         q = None if measured is None else arm.configuration(arm.drives.joint_positions(measured))
@@ -136,6 +137,10 @@ class SimulatedArm:
         if self._operation.shown.commanded is not None or not hold:
             self._sent = self.tracker.positions
         return self.plant.advance(self._sent)
+
+    def _new_tracker(self, arm: Arm) -> Tracker:
+        """Return a tracker of the arm, of which some joints may be locked."""
+        return Tracker(arm, limits=self._limits, scene=self.scene, deadline=self._deadline)
 
     def fail(self, *joints: str) -> None:
         """Let joints stick from the next cycle on, and no others. May be called from any thread.

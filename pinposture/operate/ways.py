@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from threading import Event
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from pinposture.operate.leaders import LEADERS
 from pinposture.placement import Target
 from pinposture.task import Leader, Task
 from pinposture.task.phases import is_phased
-from pinposture.task.retreat import can_retreat, nearest_posture
+from pinposture.task.retreat import WayIn, can_retreat, nearest_posture
 from pinposture.task.steering import describe_contact, moving_target
 from pinposture.task.wrap import path_through, rows_in_time
 
@@ -39,10 +39,6 @@ class WaySettings(NamedTuple):
 
     handles: int = 6
     """Control points of the curve along the arm, of which the first stays."""
-
-    record: float = 0.05
-    """Motion of a joint after which a posture is kept in the record, in `Arm.joint_units`. With `can_retreat`
-    it is the way in; with half of it, the record is twice as long."""
 
 
 WAYS = WaySettings()
@@ -197,8 +193,8 @@ class Ways:
         self.way: PlannedWay | None = None
         self._limits = limits
         self._driven: list[PlannedWay] = []
-        self._led: list[Array] = []
-        self._arm: Arm | None = None
+        self._led: WayIn | None = None
+        self._led_to: Array | None = None
         self._found: Done[WantedWay, PlannedWay] | None = None
         self._finder: Latest[WantedWay, PlannedWay] = Latest(
             self._find, "pinposture-ways", deliver=self._deliver
@@ -268,12 +264,11 @@ class Ways:
             self.say(NO_PLAN)
         if not kept:
             return
-        if not self._led:
-            self._led = [before]
-        if len(self._led) > 1 and np.abs(arm.difference(self._led[-2], q)).max() < WAYS.record:
-            self._led.pop()
-        self._led.append(q)
-        self._arm = arm
+        if self._led is None:
+            self._led = WayIn(arm)
+            self._led.add(before)
+        self._led.add(q)
+        self._led_to = q
 
     def say(self, text: str) -> None:
         """Show words in place of a way; what was driven can still be driven back."""
@@ -286,7 +281,7 @@ class Ways:
         """Forget all ways."""
         self.say(NO_PLAN)
         self._driven = []
-        self._led = []
+        self._led = None
 
     def close(self) -> None:
         """End the thread in which plans are made."""
@@ -296,10 +291,12 @@ class Ways:
         """Keep what was driven last, to drive it back."""
         if self.way is not None and self.way.at > 0.0:
             self._driven.append(self.way)
-        elif self.way is None and self._arm is not None and len(self._led) > 1:
-            path = path_through(self._arm, np.array(self._led))
-            self._driven.append(PlannedWay(path, self._limits, "the way of the tip", driven=True))
-        self._led = []
+        elif self.way is None and self._led is not None:
+            rows = self._led.until(cast(Array, self._led_to))
+            if len(rows) > 1:
+                path = path_through(self._led.arm, rows)
+                self._driven.append(PlannedWay(path, self._limits, "the way of the tip", driven=True))
+        self._led = None
 
     def _before(self) -> PlannedWay | None:
         """Return what was driven before, if anything."""
@@ -341,18 +338,18 @@ def towards(arm: Arm, goal: Target, limits: Limits, name: str) -> FindPath:
     return find
 
 
-def out_of(arm: Arm, driven: Array, joint: str, limits: Limits) -> FindPath:
+def out_of(arm: Arm, way_in: WayIn, joint: str, limits: Limits) -> FindPath:
     """Return what finds the way out of an arm with a joint that is stuck.
 
     Args:
         arm: the arm, whose joints all work.
-        driven: the configurations by which it went in, (n, nq).
+        way_in: the way by which it went in.
         joint: the joint.
         limits: the limits of the joints.
     """
 
     def find(q: Array, scene: Scene) -> JointPath:
-        rows = np.vstack([driven, q])
+        rows = way_in.until(q)
         last = [len(rows) - 1]
         ways = can_retreat(
             arm, rows, scene, joint, postures=last, limits=limits, budget=WAYS.retreat_budget

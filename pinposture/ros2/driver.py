@@ -28,11 +28,12 @@ from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.placement import Target, resolve_targets
 from pinposture.ros2.clouds import CloudFrames, read_points
 from pinposture.ros2.diagnostics import CycleTimes, diagnostics
-from pinposture.ros2.failures import POLLING, Locked, Outlook, Outlooks, WayIn, as_possible
+from pinposture.ros2.failures import POLLING, Locked, Outlook, Outlooks, as_possible
 from pinposture.ros2.graph import latest_only, sensor_data
 from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Duration, Length, declared, one_of
 from pinposture.sim import set_points
+from pinposture.task.retreat import WayIn
 
 Array = NDArray[np.float64]
 

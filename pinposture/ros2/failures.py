@@ -24,13 +24,6 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-STEP = 0.05
-"""Motion of a joint from one posture of the way in to the next, in `Arm.joint_units`. `can_retreat` checks
-the motion between them, and halves it where that is not clear."""
-
-MOST_POSTURES = 2000
-"""Largest number of postures of the way in; beyond it every second one is forgotten."""
-
 SEARCH_TIME = 30.0
 """Time after which no other way out is searched beside the way in [s]. In 50 draws of
 `benchmarks/studies/retreat.py` ways that were found took 17 s at most."""
@@ -40,36 +33,6 @@ AIM_TIME = 5.0
 
 POLLING = 0.05
 """Time between two looks whether an answer is there, or outdated [s]."""
-
-
-class WayIn:
-    """The way by which an arm came to where it is, without the detours from which it came back.
-
-    Args:
-        arm: the arm.
-    """
-
-    def __init__(self, arm: Arm) -> None:
-        self._arm = arm
-        self.rows = np.zeros((0, arm.nq))
-
-    def add(self, q: Array) -> None:
-        """Add a measured configuration, (nq,), if the arm has moved since the last."""
-        rows = self.rows
-        if len(rows) and self._near(q, rows[-1:]).any():
-            return
-        near = np.flatnonzero(self._near(q, rows))
-        if len(near):
-            self.rows = rows[: int(near[0]) + 1]
-            return
-        self.rows = np.vstack([rows, q])
-        if len(self.rows) > MOST_POSTURES:
-            self.rows = self.rows[::2]
-
-    def _near(self, q: Array, rows: Array) -> NDArray[np.bool_]:
-        """Return which of configurations (n, nq) are near another one, (nq,)."""
-        apart = np.abs(self._arm.difference(q, rows)) / self._arm.joint_units
-        return np.asarray(apart.max(axis=1) < STEP)
 
 
 class Locked(NamedTuple):

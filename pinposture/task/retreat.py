@@ -53,11 +53,57 @@ class RetreatSettings(NamedTuple):
     rounding: float = 1e-9
     """Missing clearance that is due to rounding, in arm lengths."""
 
+    recorded: float = 0.05
+    """Motion of a joint from one recorded posture of the way in to the next, in `Arm.joint_units`.
+    `can_retreat` checks the motion between them, and halves it where that is not clear."""
+
+    max_recorded: int = 2000
+    """Largest number of these postures; beyond it every second one is forgotten."""
+
 
 RETREAT = RetreatSettings()
 
 BACK = "the way back"
 """`JointPath.found_by` of a way along that by which the arm came."""
+
+
+class WayIn:
+    """A record of the way by which an arm came to where it is, without detours from which it came back.
+
+    Attributes:
+        arm: the arm.
+        rows: the recorded configurations, from where the record began, (n, nq).
+
+    Args:
+        arm: the arm.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.rows = np.zeros((0, arm.nq))
+
+    def add(self, q: Array) -> None:
+        """Add a configuration, (nq,), if the arm has moved since the last."""
+        rows = self.rows
+        if len(rows) and self._near(q, rows[-1:]).any():
+            return
+        near = np.flatnonzero(self._near(q, rows))
+        if len(near):
+            self.rows = rows[: int(near[0]) + 1]
+            return
+        self.rows = np.vstack([rows, q])
+        if len(self.rows) > RETREAT.max_recorded:
+            self.rows = self.rows[::2]
+
+    def until(self, q: Array) -> Array:
+        """Return the way in with a configuration, (nq,), at its end, (n, nq)."""
+        ended = len(self.rows) and np.array_equal(self.rows[-1], q)
+        return self.rows if ended else np.vstack([self.rows, q])
+
+    def _near(self, q: Array, rows: Array) -> NDArray[np.bool_]:
+        """Return which of configurations (n, nq) are near another one, (nq,)."""
+        apart = np.abs(self.arm.difference(q, rows)) / self.arm.joint_units
+        return np.asarray(apart.max(axis=1) < RETREAT.recorded)
 
 
 class Retreat(NamedTuple):

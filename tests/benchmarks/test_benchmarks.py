@@ -15,7 +15,7 @@ from PIL import Image
 
 import pinposture as pp
 from benchmarks.peers import problem
-from benchmarks.studies import moving_obstacles
+from benchmarks.studies import moving_obstacles, torque_cost
 
 ROOT = Path(__file__).parents[2]
 
@@ -192,6 +192,23 @@ def test_the_margin_to_a_moving_ball_is_kept() -> None:
     assert found["smallest_distance"] > 0.0048
     assert 0.5 < found["largest_acceleration"] <= 1.0 + 1e-9
     assert 0.0 < found["cycle_ms"]["p50"] <= found["cycle_ms"]["p99"] <= found["cycle_ms"]["p99.9"]
+
+
+@pytest.mark.studies
+def test_what_torque_limits_cost_is_measured_on_the_same_motion() -> None:
+    without, limited = torque_cost.draw(3, 0)
+    assert without.limits.effort is None
+    arm = without.arm
+    for q, same in zip(without[1:3], limited[1:3], strict=True):
+        np.testing.assert_array_equal(q, same)
+        held = np.abs(pin.computeGeneralizedGravity(arm.model, arm.model.createData(), q)).max()
+        assert 1.3 * held <= float(limited.limits.effort) * (1.0 + 1e-9)
+        assert pp.CollisionModel(arm, without.scene).minimum(q).distance > 0.0
+    found = printed("torque_cost", "--draws", "1", "--modules", "3")
+    assert set(found) == set(torque_cost.WAYS)
+    for each in found.values():
+        assert each["median_us"] > 0.0
+        assert each["median_with_torque_limits_us"] > 0.0
 
 
 @pytest.mark.studies

@@ -9,27 +9,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.motion.latest import Outdated
-from pinposture.ros2 import failures
-from pinposture.ros2.failures import Locked, Outlooks, WayIn, find_outlook
-
-
-def test_the_way_in_has_no_detours_and_keeps_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    arm = pp.Arm.from_template("RyRz", modules=2)
-    way = WayIn(arm)
-    there = np.linspace(0.0, 1.0, 201)[:, None] * np.array([1.0, 0.5, 0.0, 0.0])
-    aside = there[-1] + np.linspace(0.0, 0.7, 101)[:, None] * np.array([0.0, 0.0, 1.0, 1.0])
-    for q in [*there, *aside, *aside[::-1], *there[:99:-1]]:  # in, aside and back, and half of the way out
-        way.add(q)
-    steps = np.abs(np.diff(way.rows, axis=0)).max(axis=1)
-    np.testing.assert_array_equal(way.rows[0], np.zeros(4))
-    assert np.all((steps >= failures.STEP) & (steps < 2.0 * failures.STEP))
-    assert np.abs(way.rows[-1] - there[100]).max() < 2.0 * failures.STEP
-    assert np.all(way.rows[:, 2:] == 0.0)
-    monkeypatch.setattr(failures, "MOST_POSTURES", 5)
-    for q in there[100:]:
-        way.add(q)
-    assert len(way.rows) <= 5
-    np.testing.assert_array_equal(way.rows[0], np.zeros(4))
+from pinposture.ros2.failures import Locked, Outlooks, find_outlook
 
 
 @pytest.mark.long

@@ -13,6 +13,7 @@ from scipy.ndimage import label
 import pinposture as pp
 from pinposture.arm import JointSpec, ModuleTemplate
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.task import retreat
 from pinposture.task.retreat import Retreat
 
 Array = NDArray[np.float64]
@@ -204,3 +205,25 @@ def test_bad_questions_are_refused() -> None:
     moving = pp.Scene(scene.obstacles, velocities={"ball 0": (0.1, 0.0, 0.0)})
     with pytest.raises(InvalidValue, match="obstacles that rest"):
         pp.can_retreat(planar(), rows, moving)
+
+
+def test_the_way_in_has_no_detours_and_keeps_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=2)
+    way = retreat.WayIn(arm)
+    there = np.linspace(0.0, 1.0, 201)[:, None] * np.array([1.0, 0.5, 0.0, 0.0])
+    aside = there[-1] + np.linspace(0.0, 0.7, 101)[:, None] * np.array([0.0, 0.0, 1.0, 1.0])
+    for q in [*there, *aside, *aside[::-1], *there[:99:-1]]:  # in, aside and back, and half of the way out
+        way.add(q)
+    step = retreat.RETREAT.recorded
+    steps = np.abs(np.diff(way.rows, axis=0)).max(axis=1)
+    np.testing.assert_array_equal(way.rows[0], np.zeros(4))
+    assert np.all((steps >= step) & (steps < 2.0 * step))
+    assert np.abs(way.rows[-1] - there[100]).max() < 2.0 * step
+    assert np.all(way.rows[:, 2:] == 0.0)
+    monkeypatch.setattr(retreat, "RETREAT", retreat.RETREAT._replace(max_recorded=5))
+    for q in there[100:]:
+        way.add(q)
+    assert len(way.rows) <= 5
+    np.testing.assert_array_equal(way.rows[0], np.zeros(4))
+    np.testing.assert_array_equal(way.until(there[-1])[-1], there[-1])
+    np.testing.assert_array_equal(way.until(way.rows[-1]), way.rows)
