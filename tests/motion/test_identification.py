@@ -201,9 +201,8 @@ def test_intervals_cover_the_truth_in_ninety_of_a_hundred_draws() -> None:
             if covers is not None:
                 counts.setdefault(name, []).append(covers)
     of_four = [counts[name] for name in ("lag", "delay", "friction", "stiffness")]
-    assert (
-        np.mean(np.concatenate(of_four)) >= 0.85
-    )  # 90 of 100, and chance with sixty; half as wide, they cover 59
+    # 90 of 100, and chance with sixty intervals; if they were half as wide, 59 of 100 would cover.
+    assert np.mean(np.concatenate(of_four)) >= 0.85
     assert min(map(np.mean, of_four)) >= 0.75
 
 
