@@ -45,23 +45,23 @@ class PostureError(Exception):
 
 def gather(*checks: Callable[[], object]) -> list[PostureError]:
     """Make independent checks; return the errors that they raise, in order."""
-    found = []
+    faults = []
     for check in checks:
         try:
             check()
         except PostureError as error:
-            found.append(error)
-    return found
+            faults.append(error)
+    return faults
 
 
 def raise_together(errors: Sequence[PostureError]) -> None:
     """Raise the only error, or one like the first whose message lists all; do nothing without errors."""
-    listed = [each for error in errors for each in (error.reasons or (error,))]
+    listed = [reason for error in errors for reason in (error.reasons or (error,))]
     if len(listed) == 1:
         raise listed[0]
     if listed:
         combined = copy(listed[0])
-        combined.args = (numbered([str(each) for each in listed]),)
+        combined.args = (numbered([str(reason) for reason in listed]),)
         combined.reasons = tuple(listed)
         raise combined from listed[0]
 
@@ -71,7 +71,7 @@ def numbered(reasons: Sequence[str]) -> str:
     if len(reasons) == 1:
         return reasons[0]
     return " ".join(
-        [f"{len(reasons)} reasons:", *(f"({k}) {each}" for k, each in enumerate(reasons, start=1))]
+        [f"{len(reasons)} reasons:", *(f"({k}) {reason}" for k, reason in enumerate(reasons, start=1))]
     )
 
 
@@ -94,9 +94,9 @@ def warn_caller(message: str) -> None:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in LIBRARY:
         level = level + 1
         frame = frame.f_back
-    given: dict[object, object] = frame.f_globals.get("__warningregistry__", {})
-    if len(given) > MAX_REMEMBERED:
-        given.clear()
+    shown: dict[object, object] = frame.f_globals.get("__warningregistry__", {})
+    if len(shown) > MAX_REMEMBERED:
+        shown.clear()
     warnings.warn(message, PostureWarning, stacklevel=level)
 
 
@@ -320,14 +320,14 @@ class ReachError(PostureError):
     """A goal of the tip for which no clear posture was found.
 
     Attributes:
-        place: the goal, three coordinates [m], world frame.
+        position: the goal, three coordinates [m], world frame.
         reason: why, and how close the search came.
     """
 
-    def __init__(self, place: Iterable[float], reason: str) -> None:
-        self.place = tuple(float(each) for each in place)
+    def __init__(self, position: Iterable[float], reason: str) -> None:
+        self.position = tuple(float(number) for number in position)
         self.reason = reason
-        listed = ", ".join(f"{each:.4g}" for each in self.place)
+        listed = ", ".join(f"{number:.4g}" for number in self.position)
         super().__init__(f"the tip cannot reach ({listed}) m: {reason}")
 
 

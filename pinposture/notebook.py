@@ -137,7 +137,7 @@ def show_scene(scene: Scene) -> str:
         ("margin", length_text(scene.margin)),
         ("self-collision", "avoided" if scene.self_collision else "not checked"),
         *([("touchable", ", ".join(scene.touchable))] if scene.touchable else []),
-        *((f"{name} carried by", each.frame) for name, each in scene.carried.items()),
+        *((f"{name} carried by", carried.frame) for name, carried in scene.carried.items()),
         *((name, repr(obstacle)) for name, obstacle in list(scene.obstacles.items())[:MAX_OBSTACLES]),
     ]
     if len(scene.obstacles) > MAX_OBSTACLES:
@@ -155,10 +155,10 @@ def show_limits(limits: Limits) -> str:
         "jerk": "rad/s³ or m/s³",
         "position_margin": "rad or m",
     }
-    given = ((name, getattr(limits, name), unit) for name, unit in units.items())
+    values = ((name, getattr(limits, name), unit) for name, unit in units.items())
     rows = [
         (name.replace("_", " "), f"{_span(np.asarray(value))} {unit}")
-        for name, value, unit in given
+        for name, value, unit in values
         if value is not None
     ]
     return _page("Limits", rows, None)

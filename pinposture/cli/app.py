@@ -65,8 +65,8 @@ class Commands(TyperGroup):
             print_error(error.format_message().rstrip(".") + hint)
             code = REFUSED
         except OSError as error:  # of standard output, such as on a full disk, or of a name that cannot be
-            place = "the output cannot be written" if error.filename is None else error.filename
-            print_error(f"{place} ({error.strerror or error})")
+            reason = "the output cannot be written" if error.filename is None else error.filename
+            print_error(f"{reason} ({error.strerror or error})")
             code = REFUSED
         except typer.Abort:  # Ctrl-C in older versions of Typer; newer ones return the code
             code = INTERRUPTED
@@ -85,12 +85,12 @@ REGISTERED = {
 returns them: they are imported where the help is printed."""
 
 
-def _described_field(mark: re.Match[str], options: Mapping[str | None, str]) -> str:
+def _described_field(reference: re.Match[str], options: Mapping[str | None, str]) -> str:
     """Return what a declared class says of a field, as {control.Limits.dt}, with options for arguments."""
     from pinposture.schema import describe_field
 
-    words = describe_field(getattr(import_module(f"pinposture.{mark[1]}"), mark[2]), mark[3])
-    named = re.sub(r"`(\w+)`", lambda found: options.get(found[1], found[1]), words)
+    words = describe_field(getattr(import_module(f"pinposture.{reference[1]}"), reference[2]), reference[3])
+    named = re.sub(r"`(\w+)`", lambda quoted: options.get(quoted[1], quoted[1]), words)
     return named.replace("[", "(").replace("]", ")")  # Typer takes brackets for markup
 
 
@@ -99,10 +99,10 @@ def _with_registered_names(written: str | None, options: Mapping[str | None, str
     if written is not None:
         described = partial(_described_field, options=options)
         written = re.sub(r"\{([\w.]+)\.(\w+)\.(\w+)\}", described, written)
-    for mark, (home, attribute) in REGISTERED.items():
-        if written is not None and mark in written:
-            found = getattr(import_module(home), attribute)
-            written = written.replace(mark, ", ".join(found() if callable(found) else found))
+    for placeholder, (home, attribute) in REGISTERED.items():
+        if written is not None and placeholder in written:
+            names = getattr(import_module(home), attribute)
+            written = written.replace(placeholder, ", ".join(names() if callable(names) else names))
     return written
 
 
@@ -119,18 +119,22 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
             except PostureError as error:
                 if isinstance(error, ControllerError):  # of the user: --verbose shows where it failed
                     logging.getLogger("pinposture").debug("the controller failed", exc_info=error)
-                print_error(_text_with_options(error, {each.name: each.opts[0] for each in self.params}))
+                print_error(
+                    _text_with_options(
+                        error, {parameter.name: parameter.opts[0] for parameter in self.params}
+                    )
+                )
                 raise typer.Exit(REFUSED) from error
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
             described: list[Any] = [self, *self.params]
-            written = [each.help for each in described]
-            options: dict[str | None, str] = {each.name: each.opts[0] for each in self.params}
-            for each in described:
-                each.help = _with_registered_names(each.help, options)
+            written = [item.help for item in described]
+            options: dict[str | None, str] = {item.name: item.opts[0] for item in self.params}
+            for item in described:
+                item.help = _with_registered_names(item.help, options)
             super().format_help(ctx, formatter)
-            for each, text in zip(described, written, strict=True):
-                each.help = text
+            for item, text in zip(described, written, strict=True):
+                item.help = text
             lines = "".join(f"   $ {example}\n" for example in examples)
             formatter.write(f" Examples:\n\n{lines}\n")
 
@@ -154,15 +158,19 @@ def _text_with_options(error: PostureError, options: Mapping[str | None, str]) -
     Replaced are the name of an invalid value, and advice such as placement="align" or scale=0.1.
     """
 
-    def option(found: re.Match[str]) -> str:
-        name = found["name"]
-        values = found["values"].replace('"', "")
-        return f"{options[name]} {values}" if name in options else found[0]
+    def option(match: re.Match[str]) -> str:
+        name = match["name"]
+        values = match["values"].replace('"', "")
+        return f"{options[name]} {values}" if name in options else match[0]
 
     text = str(error)
     if isinstance(error, InvalidValue):
         name = re.split(r"\W", error.name, maxsplit=1)[0]  # locked, of locked.elbow or locked[2]
-        known = [options[each] for each in (name, *OPTIONS_OF_ARGUMENTS.get(name, ())) if each in options]
+        known = [
+            options[argument]
+            for argument in (name, *OPTIONS_OF_ARGUMENTS.get(name, ()))
+            if argument in options
+        ]
         if known:
             text = known[0] + text.removeprefix(name).replace(".", " ", error.name.startswith(f"{name}."))
     return re.sub(r'\b(?P<name>\w+)=(?P<values>"\w+"( or "\w+")*|[\d.]*\d)', option, text)
@@ -176,16 +184,16 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(value: bool) -> None:
+    if value:
         from pinposture import __version__
 
         typer.echo(f"pinposture {__version__}")
         raise typer.Exit
 
 
-def _log_verbosely(wanted: bool) -> None:
-    if wanted:
+def _log_verbosely(value: bool) -> None:
+    if value:
         logging.basicConfig(format="%(name)s: %(message)s")
         logging.getLogger("pinposture").setLevel(logging.DEBUG)
 
@@ -221,30 +229,32 @@ def _with_single_options(run: Callable[..., None]) -> Callable[..., None]:
     single = list(_single_options(run))
 
     @wraps(run)
-    def verb(**given: Any) -> None:
-        run(**_grouped_options(run, given))
+    def verb(**values: Any) -> None:
+        run(**_grouped_options(run, values))
 
     verb.__signature__ = signature(run).replace(parameters=single)  # type: ignore[attr-defined]
-    verb.__annotations__ = {each.name: each.annotation for each in single}
+    verb.__annotations__ = {parameter.name: parameter.annotation for parameter in single}
     return verb
 
 
 def _single_options(reader: Callable[..., object]) -> Iterator[Parameter]:
     """Yield the parameters of a verb or of a dataclass, and those of dataclasses among them."""
-    for each in signature(reader, eval_str=True).parameters.values():
-        if is_dataclass(each.annotation):
-            yield from _single_options(cast("type", each.annotation))
+    for parameter in signature(reader, eval_str=True).parameters.values():
+        if is_dataclass(parameter.annotation):
+            yield from _single_options(cast("type", parameter.annotation))
         else:
-            yield each.replace(kind=Parameter.KEYWORD_ONLY)
+            yield parameter.replace(kind=Parameter.KEYWORD_ONLY)
 
 
-def _grouped_options(reader: Callable[..., object], given: Mapping[str, object]) -> dict[str, object]:
+def _grouped_options(reader: Callable[..., object], values: Mapping[str, object]) -> dict[str, object]:
     """Return the arguments of a verb or of a dataclass, given the options by name."""
     arguments: dict[str, object] = {}
-    for name, each in signature(reader, eval_str=True).parameters.items():
-        grouped = is_dataclass(each.annotation)
+    for name, parameter in signature(reader, eval_str=True).parameters.items():
+        grouped = is_dataclass(parameter.annotation)
         arguments[name] = (
-            each.annotation(**_grouped_options(each.annotation, given)) if grouped else given[name]
+            parameter.annotation(**_grouped_options(parameter.annotation, values))
+            if grouped
+            else values[name]
         )
     return arguments
 

@@ -94,7 +94,7 @@ def run(
     limits = change_options.apply("limits", track_options.limit_options.read(arm), arm)
     surroundings = change_options.apply("scene", track_options.scene_options.read(arm))
     configurations = starts_options.read(arm, surroundings)
-    targets = [track_options.placement_options.place(arm, each, surroundings) for each in curve]
+    targets = [track_options.placement_options.place(arm, form, surroundings) for form in curve]
     check_directory(output)
     with count_progress("run") as progress:
         batch = track_many(

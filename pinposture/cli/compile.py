@@ -70,9 +70,9 @@ def compile_kernels(names: list[str], progress: Callable[[int], object]) -> dict
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(os.cpu_count() or 1, 8), spawn) as pool:
         waiting = {pool.submit(compile_kernel, name): name for name in names}
-        for done, each in enumerate(as_completed(waiting), 1):
-            if error := each.exception():
-                faults[waiting[each]] = f"{type(error).__name__}: {error}"
+        for done, future in enumerate(as_completed(waiting), 1):
+            if error := future.exception():
+                faults[waiting[future]] = f"{type(error).__name__}: {error}"
             progress(done)
     return faults
 

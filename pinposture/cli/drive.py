@@ -76,8 +76,8 @@ class DriverOptions:
         from pinposture.motion import Touch
         from pinposture.ros2 import DriverSettings
 
-        given = {name: value for name, value in vars(self).items() if name != "touch"}
-        settings = read_declared(DriverSettings, given)
+        values = {name: value for name, value in vars(self).items() if name != "touch"}
+        settings = read_declared(DriverSettings, values)
         touch = None if self.touch is None else read_declared(Touch, {"threshold": self.touch})
         return replace(settings, touch=touch)
 
@@ -152,15 +152,15 @@ def run(
         print_note(f"{name}: {driver.times.cycles} cycles, {driver.times.missed} missed; the arm holds")
 
 
-def read_limits(arm: Arm, given: LimitOptions, dt: float) -> Limits:
+def read_limits(arm: Arm, options: LimitOptions, dt: float) -> Limits:
     """Return the usual limits of an arm, with those that are given in place of them."""
     from pinposture.ros2.driver import usual_limits
 
     limits = usual_limits(arm, dt)
-    names = [name for name, value in vars(given).items() if value is not None]
+    names = [name for name, value in vars(options).items() if value is not None]
     if not names:
         return limits
-    read = replace(given, dt=f"{dt!r} s").read(arm)
+    read = replace(options, dt=f"{dt!r} s").read(arm)
     fields = ["step" if name == "step_limit" else name for name in names]
     return replace(limits, **{name: getattr(read, name) for name in fields})
 

@@ -89,7 +89,9 @@ def run(
             f"--dt {limits.dt or cycle:g} --acceleration A, or acceleration in the [limits] of a task"
         )
     run = kept.run if isinstance(kept, Trajectory) else kept
-    faults = [each for each in kept.faults if not (trajectory_options.compensate and each in run.sag_faults)]
+    faults = [
+        fault for fault in kept.faults if not (trajectory_options.compensate and fault in run.sag_faults)
+    ]
     for fault in faults:
         print_warning(f"exported despite a fault: {fault}")
     verdict = {"verdict": kept.verdict, "faults": list(kept.faults)}

@@ -70,8 +70,8 @@ def run(
     text = modules_to_urdf(chain, f"{module.name}_{modules}", "pinposture generate")
     if output is not None:
         write_text(output, text)
-    dof = sum(each.dof for each in chain)
-    length = sum(each.length for each in chain) - chain[0].lead
+    dof = sum(module.dof for module in chain)
+    length = sum(module.length for module in chain) - chain[0].lead
     if as_json:
         file = None if output is None else str(output)
         print_json({"file": file, "template": template, "modules": modules, "dof": dof, "length": length})
@@ -86,7 +86,9 @@ def _list(as_json: bool) -> None:
     from pinposture.arm import TEMPLATES
 
     if as_json:
-        print_json({"templates": [{**asdict(each), "length": each.length} for each in TEMPLATES.values()]})
+        print_json(
+            {"templates": [{**asdict(module), "length": module.length} for module in TEMPLATES.values()]}
+        )
         return
     rows = [
         (

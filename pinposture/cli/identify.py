@@ -76,10 +76,10 @@ def run(
     else:
         print_facts(words_of(summary))
         rows: list[list[Cell]] = []
-        for name, found in result.joints.items():
-            numbers = (found.lag, found.delay, found.friction, found.stiffness, found.gain)
-            told = [None if each is None else each.value for each in numbers]
-            rows.append([name, *told, found.explained, found.rest])
+        for name, drive in result.joints.items():
+            numbers = (drive.lag, drive.delay, drive.friction, drive.stiffness, drive.gain)
+            told = [None if number is None else number.value for number in numbers]
+            rows.append([name, *told, drive.explained, drive.rest])
         if rows:
             headings = ("joint", "lag", "delay", "friction", "stiffness", "gain", "explained", "rest")
             print_table(headings, rows)

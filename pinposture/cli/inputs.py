@@ -168,9 +168,9 @@ class ArmOptions:
         if self.density is not None:
             arm = weigh(arm, read_option("--density", self.density, PositiveNumber))
         for text in self.payload or ():
-            frame, found, mass = text.rpartition("=")
+            frame, sign, mass = text.rpartition("=")
             arm = arm.with_payload(
-                read_option("--payload", mass, Mass), frame=frame.strip() if found else None
+                read_option("--payload", mass, Mass), frame=frame.strip() if sign else None
             )
         if self.stiffness is not None:
             arm = arm.with_stiffness(as_data(self.stiffness))
@@ -208,25 +208,25 @@ def refuse_given(options: Mapping[str, object], allowed: str) -> None:
 
 
 def read_pairs(
-    option: str, given: list[str] | None, allowed: str = "NAME=VALUE, each name once", separator: str = "="
+    option: str, texts: list[str] | None, allowed: str = "NAME=VALUE, each name once", separator: str = "="
 ) -> dict[str, str]:
     """Return the values of a repeated option by name; raise InvalidValue for other text, or a name twice."""
     pairs: dict[str, str] = {}
-    for text in given or ():
-        name, found, value = (part.strip() for part in text.partition(separator))
-        if not name or not found or (separator == "=" and not value) or name in pairs:
+    for text in texts or ():
+        name, sign, value = (part.strip() for part in text.partition(separator))
+        if not name or not sign or (separator == "=" and not value) or name in pairs:
             raise InvalidValue(option, text, allowed)
         pairs[name] = value
     return pairs
 
 
-def read_changes(given: list[str] | None) -> dict[str, object]:
+def read_changes(texts: list[str] | None) -> dict[str, object]:
     """Return values by key of a task file; raise InvalidValue unless KEY=VALUE, each once."""
     from pinposture.storage import parse_toml
 
     changes: dict[str, object] = {}
     allowed = "KEY=VALUE, such as limits.velocity=2, each key once"
-    for key, value in read_pairs("--set", given, allowed).items():
+    for key, value in read_pairs("--set", texts, allowed).items():
         try:
             changes[key] = parse_toml(f"value = {value}")["value"]
         except ValueError:  # text without quotes, such as 20 ms
@@ -253,7 +253,7 @@ class ChangeOptions:
         for key in read_changes(self.changes):
             part, dot, _ = key.partition(".")
             if part not in parts or not dot:
-                raise UnknownName("key for --set", key, [f"{each}.FIELD" for each in parts])
+                raise UnknownName("key for --set", key, [f"{field}.FIELD" for field in parts])
 
     def apply(self, part: str, to: Any, arm: Arm | None = None) -> Any:
         """Return a part with the values that are set of it.
@@ -516,12 +516,12 @@ def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
     return points
 
 
-def read_declared(kind: Any, given: Mapping[str, object], arm: Arm | None = None) -> Any:
+def read_declared(kind: Any, values: Mapping[str, object], arm: Arm | None = None) -> Any:
     """Return what a declared class makes of options: numbers or text with units, alone or with commas.
 
     Args:
         kind: the class.
-        given: the values by argument; None: not given.
+        values: by argument; None: not given.
         arm: the arm to which they belong, if any.
 
     Raises:
@@ -531,7 +531,7 @@ def read_declared(kind: Any, given: Mapping[str, object], arm: Arm | None = None
 
     values = {
         name: as_data(value) if isinstance(value, str) else value
-        for name, value in given.items()
+        for name, value in values.items()
         if value is not None
     }
     return read_call(kind, values, arm)
@@ -615,9 +615,11 @@ class ControllerOptions:
 
         controller_named(self.controller)
         told = {"joint_weight": self.joint_weight, **only_geodesic}
-        given = [f"--{name.replace('_', '-')}" for name, value in told.items() if value not in (None, False)]
-        if given and self.controller != "geodesic":
-            allowed = f"'geodesic', which alone supports {', '.join(given)}"
+        options = [
+            f"--{name.replace('_', '-')}" for name, value in told.items() if value not in (None, False)
+        ]
+        if options and self.controller != "geodesic":
+            allowed = f"'geodesic', which alone supports {', '.join(options)}"
             raise InvalidValue("--controller", self.controller, allowed)
 
     def build(self, task: ControlTask | None = None) -> Controller:
@@ -677,8 +679,8 @@ class PlacementOptions:
         placement = self.placement
         if placement is None:
             placement = "align" if curve in CURVES else usual_placement(scene, form)
-        given = {"placement": placement, "roll": self.roll, "method": self.method}
-        posture: Keyframe = read_declared(Keyframe, {"curve": form, **given})
+        options = {"placement": placement, "roll": self.roll, "method": self.method}
+        posture: Keyframe = read_declared(Keyframe, {"curve": form, **options})
         target = resolve_targets(
             arm,
             form,

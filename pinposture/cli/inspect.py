@@ -180,13 +180,14 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     print_facts({**facts, **notes})
     joints = _JOINTS | (_COUPLED if coupled else {})
     told = [
-        {**each, "axis": " ".join(f"{round(x, 4) + 0.0:g}" for x in each["axis"])} for each in about["joints"]
+        {**joint, "axis": " ".join(f"{round(x, 4) + 0.0:g}" for x in joint["axis"])}
+        for joint in about["joints"]
     ]
     print_table(tuple(joints), [[joint.get(key) for key in joints.values()] for joint in told])
     headings = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
     points = about["control_points"]
     print_table(
-        headings, [(each["module"], each["name"], each["length"], *each["position"]) for each in points]
+        headings, [(point["module"], point["name"], point["length"], *point["position"]) for point in points]
     )
     # As text, because a table shows infinite numbers as missing.
     told = [{**one, "condition": f"{one['condition']:.4g}"} for one in about["manipulability"]]
@@ -321,15 +322,15 @@ def _describe_sag(arm: Arm) -> dict[str, Any] | None:
 
 
 def _weight_in_words(weight: Mapping[str, Any], length: float) -> dict[str, str]:
-    given = weight["given"]
+    stated = weight["given"]
     words = {"mass": weight["unknown_masses"] or f"{weight['mass']:.4g} kg that joints move"}
-    if "masses" in given:
-        source = f" from a density of {given['density']:.4g} kg/m³" if "density" in given else ""
-        words["mass"] += f", that of {len(given['masses'])} links{source}"
+    if "masses" in stated:
+        source = f" from a density of {stated['density']:.4g} kg/m³" if "density" in stated else ""
+        words["mass"] += f", that of {len(stated['masses'])} links{source}"
     carried = [
-        f"{each['mass']:.4g} kg at {each.get('frame', 'the tip')}" for each in given.get("payloads", ())
+        f"{load['mass']:.4g} kg at {load.get('frame', 'the tip')}" for load in stated.get("payloads", ())
     ]
-    carried += [f"a cable of {each['mass_per_length']:.4g} kg/m" for each in given.get("cables", ())]
+    carried += [f"a cable of {load['mass_per_length']:.4g} kg/m" for load in stated.get("cables", ())]
     if carried:
         words["carries"] = enumerated(carried, 8)
     if weight["sag"] is not None:
@@ -363,26 +364,26 @@ def _soft_limits_in_words(names: Sequence[str]) -> dict[str, str]:
 def _following_in_words(about: Mapping[str, Any]) -> dict[str, str]:
     if about.get("curve") is None:
         return {}
-    found = about["curve"]
-    off = error_text(found["largest_residual"], about["length"])
-    away = error_text(found["distance_from_curve"], about["length"])
+    curve = about["curve"]
+    off = error_text(curve["largest_residual"], about["length"])
+    away = error_text(curve["distance_from_curve"], about["length"])
     words = {
-        "curve": f"{found['name']}: {found['placed_by']} placement; "
+        "curve": f"{curve['name']}: {curve['placed_by']} placement; "
         f"largest distance of a control point from the curve {off}",
         "whole arm": f"largest distance of a link from the curve {away}",
     }
-    if found["fallback"]:
-        words["why not in turn"] = found["fallback"]
-    if found["too_much"]:
-        words["too much"] = "\n".join(found["too_much"])
-    if found["incomplete"]:
-        words["incomplete"] = found["incomplete"]
+    if curve["fallback"]:
+        words["why not in turn"] = curve["fallback"]
+    if curve["too_much"]:
+        words["too much"] = "\n".join(curve["too_much"])
+    if curve["incomplete"]:
+        words["incomplete"] = curve["incomplete"]
     return words
 
 
 def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
     names = [(module, name) for module, names in enumerate(arm.module_joints, start=1) for name in names]
-    coupled = {each.joint: each for each in arm.couplings}
+    coupled = {coupling.joint: coupling for coupling in arm.couplings}
 
     def limits(name: str, column: int) -> dict[str, Any]:
         """Return the limits of a joint and, if it is coupled, its leader, ratio and offset."""
@@ -458,7 +459,7 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
         "self_collision": scene.self_collision,
         "pairs": len(clearance.pairs),
         "outliers": _suspects(scene),
-        "excluded_pairs": [each._asdict() for each in clearance.excluded_pairs],
+        "excluded_pairs": [pair._asdict() for pair in clearance.excluded_pairs],
         "obstacles": [
             {"name": name, **obstacle.to_dict(embed=False), **beside(name)}
             for name, obstacle in scene.obstacles.items()
@@ -485,7 +486,7 @@ def _suspects(scene: Scene) -> dict[str, dict[str, Any]]:
 
 def print_scene(about: Mapping[str, Any]) -> None:
     """Print the result of `describe_scene`: obstacles, bodies of the arm, and what is nearest to each."""
-    excluded = [f"{each['first']} to {each['second']}" for each in about["excluded_pairs"]]
+    excluded = [f"{pair['first']} to {pair['second']}" for pair in about["excluded_pairs"]]
     facts = {
         "margin": length_text(about["margin"]),
         "to itself": "distances of the arm from itself count" if about["self_collision"] else "not looked at",
@@ -493,10 +494,10 @@ def print_scene(about: Mapping[str, Any]) -> None:
     }
     if excluded:
         facts["excluded pairs"] = ", ".join(excluded)
-    for name, found in about["outliers"].items():
-        near = length_text(found["distance"])
-        what = f"{found['points']} of {found['of']} points have fewer than eight others within {near}"
-        facts[f"outliers of {name}"] = f"{what}; outlier_distance = {found['distance']:.2g} removes them"
+    for name, outliers in about["outliers"].items():
+        near = length_text(outliers["distance"])
+        what = f"{outliers['points']} of {outliers['of']} points have fewer than eight others within {near}"
+        facts[f"outliers of {name}"] = f"{what}; outlier_distance = {outliers['distance']:.2g} removes them"
     print_facts(facts)
     for kind, headings in (("obstacles", ("obstacle", "type")), ("bodies", ("body",))):
         rows = [

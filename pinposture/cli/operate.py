@@ -151,8 +151,8 @@ def _operate(
 ) -> None:
     """Operate an arm until Ctrl-C."""
     if operation_options.ros:
-        given = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
-        refuse_given(given, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
+        options = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
+        refuse_given(options, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
         _drive(operation, limits, scene, ros_args, page_options)
     else:
         refuse_given({"-- ARGUMENTS": ros_args}, "nothing without --ros")
@@ -195,12 +195,14 @@ def replay(arm: Arm, path: str, scene: Scene, options: PageOptions) -> None:
 def ending() -> Iterator[Event]:
     """Yield an event that is set by Ctrl-C, or when the process is to end."""
     stop = Event()
-    before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield stop
     finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
@@ -247,7 +249,7 @@ def _drive(
 
 
 def _simulate(
-    operation: Operation, limits: Limits, scene: Scene, given: SimulatedArmOptions, options: PageOptions
+    operation: Operation, limits: Limits, scene: Scene, robot: SimulatedArmOptions, options: PageOptions
 ) -> None:
     """Simulate the arm."""
     from pinposture.arm.mjcf import load_mujoco
@@ -256,17 +258,17 @@ def _simulate(
 
     load_mujoco()
     arm = operation.arm
-    sensing = {} if given.noise is None else {"noise": given.noise}
-    q0 = None if given.start is None else StartOptions(given.start).read(arm, scene).q
+    sensing = {} if robot.noise is None else {"noise": robot.noise}
+    q0 = None if robot.start is None else StartOptions(robot.start).read(arm, scene).q
     with hold_interrupt():
         simulated = SimulatedArm(
             arm,
             operation,
             limits,
             scene,
-            servos=read_declared(Servos, {"frequency": given.frequency}),
+            servos=read_declared(Servos, {"frequency": robot.frequency}),
             sensing=read_declared(Sensing, sensing),
-            camera=DepthCamera() if given.camera else None,
+            camera=DepthCamera() if robot.camera else None,
             q0=q0,
             deadline=0.5 / RATE,
         )

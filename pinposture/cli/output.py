@@ -201,7 +201,7 @@ def _print_line(label: str, style: str, text: str) -> None:
     from rich.text import Text
 
     line = " ".join(part.strip() for part in text.splitlines())
-    line = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in line)
+    line = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in line)
     line = line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
     Console(stderr=True).print(Text.assemble((label, style), line), soft_wrap=True)
 
@@ -386,22 +386,22 @@ def find_kept(path: Path) -> tuple[Path, str]:
     if not path.is_dir():
         return path, ""
     named = [path / name for name in (FILES.motion, FILES.run)]
-    found = [file for file in named if kind_of(file) in (Run, Trajectory)]  # not a joint trajectory
+    results = [file for file in named if kind_of(file) in (Run, Trajectory)]  # not a joint trajectory
     status = read_status(path)
     if status.get("state") == "failed":
         ended = modification_time(path / FILES.status)
-        older = [file for file in found if modification_time(file) <= ended]
-        if older == found:
+        older = [file for file in results if modification_time(file) <= ended]
+        if older == results:
             why = f"the run of {status.get('task')} failed: {status.get('reason')}"
             also = f", or name {older[0]}, of an earlier run" if older else ""
             raise FileError(path, f"{why}; correct it and run it again{also}")
-        found = [file for file in found if file not in older]
-    if not found:
+        results = [file for file in results if file not in older]
+    if not results:
         for name in (FILES.run, FILES.batch):
             if (path / name).exists():
                 return path / name, ""  # the reader will report what is wrong with it
         raise FileError(path / FILES.run, f"no such file, and no {FILES.motion} that contains a motion")
-    newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
+    newest, *others = sorted(results, key=lambda file: file.stat().st_mtime_ns, reverse=True)
     return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""
 
 

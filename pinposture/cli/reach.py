@@ -107,7 +107,7 @@ def run(
     first = None if start is None else StartOptions(start, degrees, seed).read(arm, surroundings).q
     check_directory(output)
     with progress_bar("searching", "", first="postures"):
-        found = reach(
+        postures = reach(
             arm,
             goal.position,
             direction=goal.direction,
@@ -119,24 +119,24 @@ def run(
             tolerance=read_option("--tolerance", goal_options.tolerance, Length),
             objective=cast("Any", goal_options.objective),  # checked there
         )
-    blocked_by = found[0].path.blocked_by if found[0].path else ""
+    blocked_by = postures[0].path.blocked_by if postures[0].path else ""
     files: list[File] = []
     if output is not None:
-        for number, each in enumerate(found, start=1):
-            text = json.dumps(each.q.tolist()) + "\n"
+        for number, posture in enumerate(postures, start=1):
+            text = json.dumps(posture.q.tolist()) + "\n"
             files.append((f"{number}", output / f"posture_{number}.json", partial(write_text, text=text)))
-        picture = _draw(arm, found, np.asarray(goal.position), surroundings)
+        picture = _draw(arm, postures, np.asarray(goal.position), surroundings)
         files.append(("picture", output / FILES.postures, partial(write_figure, figure=picture)))
         if first is not None and not blocked_by:
-            files += run_files(track(arm, found[0].target, first, scene=surroundings), output)
+            files += run_files(track(arm, postures[0].target, first, scene=surroundings), output)
     written, failure = write_files(files)
     if as_json:
         asked = {"urdf": urdf, "to": goal.position, "direction": goal.direction, "start": start, "seed": seed}
-        postures = [each.summary() for each in found]
-        kept = {"scene": scene_options.scene, "postures": postures, "files": list(written.values())}
+        summaries = [posture.summary() for posture in postures]
+        kept = {"scene": scene_options.scene, "postures": summaries, "files": list(written.values())}
         print_json({**asked, **kept})
     else:
-        _print_postures(found)
+        _print_postures(postures)
         if output is None:
             print_note("--output DIR (-o) writes the postures, and --json prints them")
     for file in written.values():
@@ -180,7 +180,7 @@ class SearchOptions:
     budget: Annotated[str | None, MOTION("{task.TipGoal.budget}", "TIME")] = None
 
 
-def _print_postures(found: Sequence[ReachedPosture]) -> None:
+def _print_postures(postures: Sequence[ReachedPosture]) -> None:
     headings = (
         "rank",
         "clearance [m]",
@@ -194,21 +194,21 @@ def _print_postures(found: Sequence[ReachedPosture]) -> None:
     rows = [
         (
             str(number),
-            each.clearance,
-            each.limit_distance,
-            each.manipulability,
-            each.path_ratio,
-            each.score,
-            "-" if each.load is None else f"{100.0 * each.load.share:.3g} % ({each.load.joint})",
-            "-" if each.path is None else each.path.blocked_by or "clear",
+            posture.clearance,
+            posture.limit_distance,
+            posture.manipulability,
+            posture.path_ratio,
+            posture.score,
+            "-" if posture.load is None else f"{100.0 * posture.load.share:.3g} % ({posture.load.joint})",
+            "-" if posture.path is None else posture.path.blocked_by or "clear",
         )
-        for number, each in enumerate(found, start=1)
+        for number, posture in enumerate(postures, start=1)
     ]
     print_table(headings, rows)
 
 
 def _draw(
-    arm: Arm, found: Sequence[ReachedPosture], goal: NDArray[np.float64], scene: Scene | None
+    arm: Arm, postures: Sequence[ReachedPosture], goal: NDArray[np.float64], scene: Scene | None
 ) -> Figure:
     """Draw the scene, the goal and all postures, with the best on top."""
     import matplotlib as mpl
@@ -225,9 +225,9 @@ def _draw(
         ax = figure.add_axes((0.0, 0.0, 1.0, 0.9), projection="3d", computed_zorder=False)
     panel = PosturePanel(arm, ax)
     colors = mpl.colormaps["viridis"]
-    for rank in reversed(range(len(found))):
-        color = mpl.colors.to_hex(colors(0.85 * rank / max(len(found) - 1, 1)))
-        panel.posture(found[rank].q, color, f"posture {rank + 1}", width=3.0 if rank == 0 else 1.6)
+    for rank in reversed(range(len(postures))):
+        color = mpl.colors.to_hex(colors(0.85 * rank / max(len(postures) - 1, 1)))
+        panel.posture(postures[rank].q, color, f"posture {rank + 1}", width=3.0 if rank == 0 else 1.6)
     style: dict[str, Any] = {"ls": "none", "marker": "*", "ms": 14, "mec": "white", "zorder": 7}
     panel.line(goal[None, :3], label="goal of the tip", color=THEME.mark, **style)
     panel.finish(scene)

@@ -76,10 +76,10 @@ class Folder:
             ended = f"failed ({status.get('reason')})" if failed else "was not finished"
             said += f"a run of {status.get('task')}, begun {status.get('begun')}, that {ended}"
             since = modification_time(self.path / FILES.status)
-            new = [each for each in results if modification_time(each) >= since]
+            new = [file for file in results if modification_time(file) >= since]
             said += f"; it left {_listed(new)}"
             if len(new) < len(results):
-                said += f", and {_listed([each for each in results if each not in new])} from before it"
+                said += f", and {_listed([file for file in results if file not in new])} from before it"
         elif results:
             said += f"{_listed(results)}; {replaced}"
         drafts = len(self._files(_DRAFT))
@@ -92,12 +92,12 @@ class Folder:
 
         Previous results remain until new ones replace them.
         """
-        for each in self._files(_DRAFT):
-            each.unlink(missing_ok=True)
+        for draft in self._files(_DRAFT):
+            draft.unlink(missing_ok=True)
         status = read_status(self.path)
         for key in ("files", "before"):
             listed = status.get(key)
-            names = [each for each in listed if isinstance(each, str)] if isinstance(listed, list) else []
+            names = [item for item in listed if isinstance(item, str)] if isinstance(listed, list) else []
             self._before += [name for name in names if _RESULT.fullmatch(name)]
         self._write(state="running", before=self._before)
 
@@ -115,7 +115,7 @@ class Folder:
     def _files(self, names: re.Pattern[str]) -> list[Path]:
         try:
             return sorted(
-                each for each in self.path.iterdir() if names.fullmatch(each.name) and each.is_file()
+                file for file in self.path.iterdir() if names.fullmatch(file.name) and file.is_file()
             )
         except OSError:
             return []
@@ -126,7 +126,7 @@ class Folder:
 
 
 def _listed(files: list[Path]) -> str:
-    return ", ".join(each.name for each in files) or "no result"
+    return ", ".join(file.name for file in files) or "no result"
 
 
 def _now() -> str:
@@ -206,14 +206,14 @@ def run(
         with count_progress("posture") as placing:
             reference = task.reference(placing)
         scene = task.surroundings(reference)
-        for where, place in find_crowded(reference, scene).items():
-            if not place.crowding(0.0):  # of the others, `perform` warns
-                print_note(f"{where}: {place.crowding(scene.margin)}")
+        for where, keyframe in find_crowded(reference, scene).items():
+            if not keyframe.crowding(0.0):  # of the others, `perform` warns
+                print_note(f"{where}: {keyframe.crowding(scene.margin)}")
         with progress_bar("moving", "{:.1f} s of {:.1f} s", first="planning") as moving:
             motion = task.perform(reference, moving)
         files, failure = write_files([] if output is None else motion_files(motion, output, task.formats))
         if folder is not None and failure is None:
-            folder.finish([Path(each).name for each in files.values()])
+            folder.finish([Path(file).name for file in files.values()])
         summary = motion.summary()
         data = {"task": str(file), **summary, "files": files}
         print_result(as_json, data, words_of(summary), files.values(), failure)
@@ -271,10 +271,10 @@ def _describe_retreats(retreats: Retreats, reference: Reference) -> dict[str, An
     return {"examined": examined, "first_blocked": blocked}
 
 
-def _retreats_in_words(found: Mapping[str, Any]) -> str:
-    blocked = found["first_blocked"]
+def _retreats_in_words(retreats: Mapping[str, Any]) -> str:
+    blocked = retreats["first_blocked"]
     if blocked is None:
-        return f"from all postures examined ({found['examined']}), whichever hinge sticks there"
+        return f"from all postures examined ({retreats['examined']}), whichever hinge sticks there"
     joints = enumerated([f"{name} at {at:.4g}" for name, at in blocked["joints"].items()], 4)
     return f"not at {blocked['planned']:.4g} s if one of these sticks: {joints}; {blocked['reason']}"
 
@@ -283,19 +283,19 @@ def _print_check(
     file: Path, task: Task, reference: Reference, retreats: Retreats | None, as_json: bool
 ) -> None:
     """Print the plan, how well the arm can perform it, and from where it could not come out again."""
-    found = task.feasibility(reference)
-    places = [
+    keyframes = task.feasibility(reference)
+    described = [
         {
-            **each._asdict(),
-            "moved": None if each.moved is None else each.moved._asdict(),
-            "overload": None if each.overload is None else each.overload.as_data(),
+            **keyframe._asdict(),
+            "moved": None if keyframe.moved is None else keyframe.moved._asdict(),
+            "overload": None if keyframe.overload is None else keyframe.overload.as_data(),
         }
-        for each in found
+        for keyframe in keyframes
     ]
     out = None if retreats is None else _describe_retreats(retreats, reference)
     if as_json:
         told = {} if out is None else {"retreat": out}
-        print_json({"task": str(file), "keyframes": places, "planned": reference.duration, **told})
+        print_json({"task": str(file), "keyframes": described, "planned": reference.duration, **told})
     else:
         retreat = {} if out is None else {"comes out": _retreats_in_words(out)}
         print_facts({"duration": f"{reference.duration:.4g} s, if nothing slows it", **retreat})
@@ -308,25 +308,27 @@ def _print_check(
             "between",
             "its curve is",
         )
-        pairs = [" to ".join(place.pair) if place.pair else None for place in found]
-        ways = [None if place.moved is None else str(place.moved) for place in found]
-        rows = [(*place[:5], *words) for place, *words in zip(found, pairs, ways, strict=True)]
+        pairs = [" to ".join(keyframe.pair) if keyframe.pair else None for keyframe in keyframes]
+        ways = [None if keyframe.moved is None else str(keyframe.moved) for keyframe in keyframes]
+        rows = [(*keyframe[:5], *words) for keyframe, *words in zip(keyframes, pairs, ways, strict=True)]
         print_table(headings, rows)
     scene = task.surroundings(reference)
-    for each in found:
-        if crowded := each.crowding(scene.margin):
-            print_note(f"{each.name}: {crowded}")
-        if each.overload is not None:
-            print_note(f"{each.name}: {each.overload}")
-    end_with([each.name for each in found if each.crowding(0.0) or each.overload is not None])
+    for keyframe in keyframes:
+        if crowded := keyframe.crowding(scene.margin):
+            print_note(f"{keyframe.name}: {crowded}")
+        if keyframe.overload is not None:
+            print_note(f"{keyframe.name}: {keyframe.overload}")
+    end_with(
+        [keyframe.name for keyframe in keyframes if keyframe.crowding(0.0) or keyframe.overload is not None]
+    )
 
 
 @contextmanager
 def _kept_in(folder: Folder) -> Iterator[None]:
     """Print a note on existing contents of a directory, and record the start and any failure of the run."""
-    found = folder.found()
-    if found:
-        print_note(found)
+    contents = folder.found()
+    if contents:
+        print_note(contents)
     folder.begin()
     try:
         yield

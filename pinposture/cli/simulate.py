@@ -191,8 +191,8 @@ class SimulationOptions:
         hold = read_option("--hold", self.hold, Annotated[float, quantity("time", least=0.0, most=3600.0)])
         cycle = read_option("--dt", self.dt, Duration)
         near = read_option("--tolerance", self.tolerance, Length)
-        given = {"frequency": self.frequency, "torque_limits": not self.no_torque_limits}
-        servos = read_declared(Servos, given)
+        options = {"frequency": self.frequency, "torque_limits": not self.no_torque_limits}
+        servos = read_declared(Servos, options)
         contact = self._read_contact()
         return Settings(servos, not self.no_gravity, cycle, hold, near, self.compensate, contact)
 

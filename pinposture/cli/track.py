@@ -167,15 +167,15 @@ class TipOptions:
         from pinposture.control.reach import require_within_reach
         from pinposture.schema import read_plain
 
-        places = {
+        goals = {
             "--tip-position": self.tip_position,
             "--tip-pose": self.tip_pose,
             "--hold-tip": self.hold_tip,
         }
-        given = {option: text for option, text in places.items() if text is not None}
-        if len(given) > 1:
-            first, second, *_ = given
-            raise InvalidValue(second, given[second], f"without {first}")
+        texts = {option: text for option, text in goals.items() if text is not None}
+        if len(texts) > 1:
+            first, second, *_ = texts
+            raise InvalidValue(second, texts[second], f"without {first}")
         options: dict[str, Any] = {"weight": 1.0 if self.tip_weight is None else self.tip_weight}
         options["priority"] = self.tip_priority
         task: EndEffector | None = None
@@ -198,7 +198,7 @@ class TipOptions:
             ("--tip-priority", self.tip_priority or None),
         ):
             if value is not None:
-                raise InvalidValue(option, value, f"together with one of {', '.join(places)}")
+                raise InvalidValue(option, value, f"together with one of {', '.join(goals)}")
         return None
 
 

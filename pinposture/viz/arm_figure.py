@@ -212,8 +212,8 @@ def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellip
     outside = "" if panel.spatial else "outside "
     handles, labels = panel.ax.get_legend_handles_labels()
     for columns in range(len(labels), 0, -1):
-        place = cast(Any, f"{outside}lower left")
-        legend = figure.legend(handles, labels, loc=place, ncols=columns, **style)
+        corner = cast(Any, f"{outside}lower left")
+        legend = figure.legend(handles, labels, loc=corner, ncols=columns, **style)
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
             break
         legend.remove()
@@ -237,9 +237,9 @@ def _number_points(panel: PosturePanel, points: Array, base: Array, offset: floa
     halo = {"path_effects": [withStroke(linewidth=2.0, foreground="white", alpha=0.7)]}
     written: list[Array] = []
     for k in (len(points), *range(1, len(points))):
-        place = flat[k] + offset * beside[k]
-        if any(np.linalg.norm(place - other) < ARM_FIGURE.number_distance * size for other in written):
+        position = flat[k] + offset * beside[k]
+        if any(np.linalg.norm(position - other) < ARM_FIGURE.number_distance * size for other in written):
             continue
-        written.append(place)
+        written.append(position)
         (where,) = np.transpose(panel.coordinates(points[k - 1 : k] + offset * beside[k] @ screen))
         ax.text(*where, str(k), fontsize=8, ha="center", va="center", color=THEME.ink, zorder=8, **halo)

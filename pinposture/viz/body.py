@@ -96,14 +96,14 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
     shift = np.zeros((len(positions), 3))
     for u, (axis, origin) in enumerate(zip(chain.axes, chain.origins, strict=True)):
         # The preceding joints move this one from its neutral position: p = R origin + shift.
-        place = turn @ origin + shift
+        origins = turn @ origin + shift
         if chain.revolute[u]:
             turn = turn @ turns[:, u]
         else:
-            place = place + np.einsum("fij,fj->fi", turn, amounts[:, u, None] * axis)
-        shift = place - turn @ origin
+            origins = origins + np.einsum("fij,fj->fi", turn, amounts[:, u, None] * axis)
+        shift = origins - turn @ origin
         poses[:, u, :3, :3] = turn
-        poses[:, u, :3, 3] = place
+        poses[:, u, :3, 3] = origins
     return poses if several else poses[0]
 
 
@@ -445,8 +445,8 @@ def surface(obstacle: Obstacle) -> TriangleMesh:
     """
     geometry = obstacle.geometry
     if not geometry.convex:
-        own = _thinned(geometry)
-        return TriangleMesh(own.vertices @ np.array(geometry.rotation).T + geometry.center, own.faces)
+        outline = _thinned(geometry)
+        return TriangleMesh(outline.vertices @ np.array(geometry.rotation).T + geometry.center, outline.faces)
     solid = geometry.solid()
     if solid.kind == BOX:
         corners = box_corners(-solid.half, solid.half) if solid.exact else geometry.content[0]

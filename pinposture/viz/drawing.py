@@ -227,7 +227,7 @@ SHOWN_BY: dict[type | tuple[type, ...], str] = {
 def require_type(name: str, value: object, *allowed: type) -> None:
     """Raise InvalidValue unless a value is of an allowed type, and name the function that shows it."""
     if not isinstance(value, allowed):
-        kinds = ["None" if each is type(None) else f"a {each.__name__}" for each in allowed]
+        kinds = ["None" if kind is type(None) else f"a {kind.__name__}" for kind in allowed]
         instead = [f"; {words}" for shown, words in SHOWN_BY.items() if isinstance(value, shown)]
         raise InvalidValue(name, value, " or ".join(kinds).replace("a Arm", "an Arm") + "".join(instead))
 
@@ -244,9 +244,9 @@ def require_fitting(arm: Arm, run: Run | Trajectory | None, target: Target | Non
     if run is not None and run.q.shape[1] != arm.nq:
         raise InvalidValue("run.q (shape)", run.q.shape, f"(steps + 1, {arm.nq}) for this arm")
     if run is not None and run.arm is not arm:
-        own = run.arm.at(run.q[0]).points
+        recorded = run.arm.at(run.q[0]).points
         shown = arm.at(run.q[0]).points
-        if own.shape != shown.shape or np.abs(own - shown).max() > SAME_ARM * arm.length:
+        if recorded.shape != shown.shape or np.abs(recorded - shown).max() > SAME_ARM * arm.length:
             raise InvalidValue("run.arm", run.arm, f"the arm that is given, {arm!r}")
     if target is not None and target.points.shape != (arm.n_modules, 3):
         raise InvalidValue("target.points (shape)", target.points.shape, f"({arm.n_modules}, 3) for this arm")
@@ -262,14 +262,14 @@ class Surfaces(NamedTuple):
 def arm_surfaces(arm: Arm) -> Surfaces:
     """Return the surfaces of an arm: the meshes of its description, or round bars where unreadable."""
     radius = link_radius(arm)
-    own = body_meshes(arm)
+    meshes = body_meshes(arm)
     listed = bodies(arm)
     surfaces = []
     for u, body in enumerate(listed):
         # The ball of the next joint closes the bar, unless that joint is prismatic or missing.
         closed = u + 1 < len(listed) and bool(arm.chain.revolute[u + 1])
-        surfaces.append(own.bodies[u] or _body_mesh(body, radius, closed))
-    return Surfaces(own.base or _base_mesh(arm, radius), tuple(surfaces))
+        surfaces.append(meshes.bodies[u] or _body_mesh(body, radius, closed))
+    return Surfaces(meshes.base or _base_mesh(arm, radius), tuple(surfaces))
 
 
 def visual_model(arm: Arm) -> pin.GeometryModel:
@@ -408,7 +408,7 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
 
 def shown_corners(shown: Sequence[ShownObstacle]) -> Array:
     """Return the corners of the bounding boxes of the shown parts, (n, 3) [m], world frame."""
-    parts = [each.near for each in shown if len(each.near)]
+    parts = [obstacle.near for obstacle in shown if len(obstacle.near)]
     return np.vstack([np.zeros((0, 3)), *(box_corners(part.min(axis=0), part.max(axis=0)) for part in parts)])
 
 
@@ -662,9 +662,9 @@ def obstacle_tracks(
     moved = obstacle_motions(arm, shown.run.q, shown.run.held, scene, shown.rows.tolist())
     kept = shown.key_rows
     listed = []
-    for number, each in enumerate(obstacles):
-        if each.name in moved:
-            motions = moved[each.name]
+    for number, obstacle in enumerate(obstacles):
+        if obstacle.name in moved:
+            motions = moved[obstacle.name]
             since = [motion * motions[0].inverse() for motion in motions]
             turns = same_signs(np.array([pin.SE3ToXYZQUAT(motion)[3:] for motion in since]))
             places = np.array([motion.translation for motion in since])

@@ -78,7 +78,7 @@ class FoxgloveViewer(Viewer):
         kinds |= dict.fromkeys(("/joint_states", "/joint_commands"), channels.JointStatesChannel)
         kinds |= {"/status": Channel}
         self.context = Context()
-        self._channels: Any = {name: each(name, context=self.context) for name, each in kinds.items()}
+        self._channels: Any = {name: channel(name, context=self.context) for name, channel in kinds.items()}
         self._waiting: deque[Callable[[bool], None]] = deque(maxlen=BACKLOG)
         self._wake = Event()
         self._subscribed = Event()
@@ -87,15 +87,15 @@ class FoxgloveViewer(Viewer):
         self._lock = Lock()
         self._drawn: tuple[Target | None, Scene | None] = None, None
         listener = type("Listener", (ServerListener,), {"on_subscribe": self._send_again})
-        place = urlsplit(ADDRESS if url is None else url)
+        address = urlsplit(ADDRESS if url is None else url)
         try:
-            if place.scheme != "ws":
+            if address.scheme != "ws":
                 raise ValueError("no WebSocket")
-            about: dict[str, Any] = {"host": place.hostname, "port": place.port, "context": self.context}
+            about: dict[str, Any] = {"host": address.hostname, "port": address.port, "context": self.context}
             self._server = start_server(name=arm.name, server_listener=listener(), **about)
         except (RuntimeError, ValueError) as error:
             reason = f"{error}; an address is, for instance, {ADDRESS}"
-            raise ViewerError(f"foxglove at {place.geturl()!r}", reason) from None
+            raise ViewerError(f"foxglove at {address.geturl()!r}", reason) from None
         self._url = str(self._server.app_url())
         Thread(target=self._send, name="pinposture-foxglove", daemon=True).start()
         if self.run is not None:
@@ -126,7 +126,7 @@ class FoxgloveViewer(Viewer):
             target = target or self.tracker.target
             scene = scene or self.tracker.scene
             known = self.tracker.report._asdict().items()
-            status = {name: each for name, each in known if isinstance(each, str | float)}
+            status = {name: value for name, value in known if isinstance(value, str | float)}
             with suppress(InvalidValue):  # no command before the first measurement
                 command = self.tracker.command
         self._put(q, target, scene, command, status)
@@ -227,7 +227,7 @@ class FoxgloveViewer(Viewer):
                 status = status | {"clearance": near.distance, "nearest": " to ".join(near.pair or ())}
         if command is not None:
             self._log("/joint_commands", stamp, self._joints, command, stamp)
-        told = {name: each for name, each in status.items() if isinstance(each, str) or np.isfinite(each)}
+        told = {name: value for name, value in status.items() if isinstance(value, str) or np.isfinite(value)}
         self._log("/status", stamp, dict, told)
 
     def _log(self, topic: str, stamp: int, message: Callable[..., Any], *about: Any) -> None:
@@ -267,7 +267,9 @@ class FoxgloveViewer(Viewer):
             entities.append(self._entity("target", self._world, **self._outline(target)))
         if again or scene is not around:
             shown = drawing.shown_obstacles(scene, drawing.scene_points(self.arm, None, target))
-            solids = [self._surface(each.surface, THEME.obstacle, THEME.see_through) for each in shown]
+            solids = [
+                self._surface(obstacle.surface, THEME.obstacle, THEME.see_through) for obstacle in shown
+            ]
             entities.append(self._entity("obstacles", self._world, triangles=solids))
         return self._messages.SceneUpdate(entities=entities)
 
@@ -275,11 +277,11 @@ class FoxgloveViewer(Viewer):
         model = self.arm.model
         listed = bodies(self.arm)
         surfaces = drawing.arm_surfaces(self.arm)
-        joints = [model.getJointId(each.joint) for each in listed]
+        joints = [model.getJointId(body.joint) for body in listed]
         places = neutral_placements(model)
         # The frame of a joint is that of the link after it; a body frame has another orientation.
-        frames = [each for each in model.frames if each.type == pin.BODY and each.placement.isIdentity()]
-        names = {int(each.parentJoint): each.name for each in reversed(frames)}
+        frames = [frame for frame in model.frames if frame.type == pin.BODY and frame.placement.isIdentity()]
+        names = {int(frame.parentJoint): frame.name for frame in reversed(frames)}
         self._links = [names.get(joint, model.names[joint]) for joint in joints]
         self._turns = np.array([places[joint].rotation for joint in joints])
         self._bodies = [

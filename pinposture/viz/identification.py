@@ -37,12 +37,12 @@ def plot_identification(identification: Identification, log: int = 0) -> Figure:
     logs = identification.logs
     if not isinstance(log, int) or isinstance(log, bool) or not 0 <= log < len(logs):
         raise InvalidValue("log", log, f"a whole number from 0 to {len(logs) - 1}")
-    found = identification.predict(logs[log])
+    predictions = identification.predict(logs[log])
     figure = Figure(figsize=(palette.FIGURE.width, palette.FIGURE.height), layout="constrained")
     grid = figure.add_gridspec(3, 3, height_ratios=(1.3, 1.0, 1.0))
     panels = [figure.add_subplot(grid[row, :]) for row in range(2)]
-    _plot_followed(found, panels[0], identification.unit)
-    _plot_rest(identification, found, panels[1])
+    _plot_followed(predictions, panels[0], identification.unit)
+    _plot_rest(identification, predictions, panels[1])
     palette.share_axis(panels)
     for column, (name, unit) in enumerate(
         {"lag": "s", "delay": "s", "friction": identification.unit}.items()
@@ -56,12 +56,12 @@ def plot_identification(identification: Identification, log: int = 0) -> Figure:
     return figure
 
 
-def _plot_followed(found: Mapping[str, Prediction], ax: Axes, unit: str) -> None:
+def _plot_followed(predictions: Mapping[str, Prediction], ax: Axes, unit: str) -> None:
     """Plot commands, measurements and prediction of the joint that moved most."""
-    if not found:
+    if not predictions:
         return
-    name = max(found, key=lambda each: float(np.ptp(found[each].measured)))
-    shown = found[name]
+    name = max(predictions, key=lambda joint: float(np.ptp(predictions[joint].measured)))
+    shown = predictions[name]
     time = shown.time - shown.time[0]
     ax.plot(time, shown.sent, color=THEME.rest, lw=1.2, label="command")
     ax.plot(time, shown.measured, color=THEME.start, lw=1.6, label="measured")
@@ -70,11 +70,11 @@ def _plot_followed(found: Mapping[str, Prediction], ax: Axes, unit: str) -> None
     add_legend(ax)
 
 
-def _plot_rest(identification: Identification, found: Mapping[str, Prediction], ax: Axes) -> None:
+def _plot_rest(identification: Identification, predictions: Mapping[str, Prediction], ax: Axes) -> None:
     """Plot what is measured minus what is predicted, of all joints."""
     names = list(identification.arm.joint_names)
     colors, norm = palette.colors_along(len(names))
-    for name, shown in found.items():
+    for name, shown in predictions.items():
         time = shown.time - shown.time[0]
         color = colors(norm(1 + names.index(name)))
         ax.plot(time, shown.measured - shown.predicted, color=color, lw=0.8)
@@ -84,11 +84,11 @@ def _plot_rest(identification: Identification, found: Mapping[str, Prediction], 
 def _plot_numbers(identification: Identification, name: str, unit: str, ax: Axes) -> None:
     """Plot a number of each joint, and that of the one set."""
     names = list(identification.arm.joint_names)
-    known = [(1 + names.index(joint), _number(each, name)) for joint, each in identification.joints.items()]
-    for place, number in known:
+    known = [(1 + names.index(joint), _number(drive, name)) for joint, drive in identification.joints.items()]
+    for joint, number in known:
         if number is not None:
             ends = [[number.value - number.lower], [number.upper - number.value]]
-            ax.errorbar(place, number.value, ends, color=THEME.start, marker="o", ms=3, lw=1.0, capsize=2)
+            ax.errorbar(joint, number.value, ends, color=THEME.start, marker="o", ms=3, lw=1.0, capsize=2)
     shared = _number(identification.drives, name)
     if shared is not None:
         ax.axhspan(shared.lower, shared.upper, color=THEME.active, alpha=THEME.sheer, lw=0.0)

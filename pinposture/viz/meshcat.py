@@ -243,8 +243,8 @@ def add_moving_targets(
 def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) -> None:
     """Draw translucent obstacles."""
     opacity = THEME.sheer if len(shown) > DRAWING.many_obstacles else THEME.see_through
-    for number, each in enumerate(shown):
-        add(viewer, drawing.obstacle_path(number), each.surface, THEME.obstacle, opacity)
+    for number, obstacle in enumerate(shown):
+        add(viewer, drawing.obstacle_path(number), obstacle.surface, THEME.obstacle, opacity)
 
 
 def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:

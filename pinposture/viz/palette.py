@@ -133,9 +133,9 @@ def distinct_colors(controllers: Iterable[str]) -> list[str]:
     """Return one colour per run, distinct as far as the palette allows."""
     colors: list[str] = []
     for controller in controllers:
-        own = controller_color(controller)
-        free = [color for color in (own, *THEME.spare, *THEME.controllers.values()) if color not in colors]
-        colors.append(free[0] if free else own)
+        usual = controller_color(controller)
+        free = [color for color in (usual, *THEME.spare, *THEME.controllers.values()) if color not in colors]
+        colors.append(free[0] if free else usual)
     return colors
 
 
@@ -261,7 +261,9 @@ def label_lengths(panels: Sequence[Axes], name: str) -> None:
         name: the name of the lengths.
     """
     drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for ax in panels for line in ax.get_lines()]
-    largest = max((float(np.abs(each[np.isfinite(each)]).max(initial=0.0)) for each in drawn), default=0.0)
+    largest = max(
+        (float(np.abs(errors[np.isfinite(errors)]).max(initial=0.0)) for errors in drawn), default=0.0
+    )
     small = round(largest, 3) < 1.0
     powers = LogFormatterMathtext()
     for ax in panels:
@@ -407,9 +409,9 @@ def controller_name(run: Run) -> str:
 
 def controller_text(run: Run) -> str:
     """Return the name of the controller of a run, and the parameters that are not at their defaults."""
-    given = _parameters(run.controller)
-    usual = registry.CONTROLLERS.get(given.get("name", "").strip("'"))
-    changed = list(_differences(given, {} if usual is None else _parameters(repr(usual()))))
+    parameters = _parameters(run.controller)
+    usual = registry.CONTROLLERS.get(parameters.get("name", "").strip("'"))
+    changed = list(_differences(parameters, {} if usual is None else _parameters(repr(usual()))))
     defaults = "" if usual is None else " with default parameters"
     return controller_name(run) + (f" with {', '.join(changed)}" if changed else defaults)
 
@@ -423,18 +425,21 @@ def _parameters(text: str) -> dict[str, str]:
         made = ast.parse(named, mode="eval").body
     except SyntaxError:
         return {}
-    return {str(each.arg): ast.unparse(each.value) for each in getattr(made, "keywords", ())}
+    return {str(keyword.arg): ast.unparse(keyword.value) for keyword in getattr(made, "keywords", ())}
 
 
-def _differences(given: Mapping[str, str], usual: Mapping[str, str]) -> Iterator[str]:
-    for name, value in given.items():
+def _differences(parameters: Mapping[str, str], usual: Mapping[str, str]) -> Iterator[str]:
+    for name, value in parameters.items():
         kind = value.partition("(")[0]
         default = usual.get(name, "")
         if name in ("name", "scene") or value == default:
             continue
         words = name.replace("_", " ")
         if kind and default.startswith(f"{kind}("):
-            yield from (f"{words} {each}" for each in _differences(_parameters(value), _parameters(default)))
+            yield from (
+                f"{words} {difference}"
+                for difference in _differences(_parameters(value), _parameters(default))
+            )
         else:
             classes = re.findall(r"(?:^\(?|\), )([A-Za-z_]\w*)\(", value)
             plain = value.strip("'")
@@ -453,15 +458,15 @@ def limits_text(run: Run) -> str:
         text = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
         return f"{text} {' or '.join(unit + per for unit in units)}"
 
-    found = [] if limits.step is None else [f"{most(limits.step, '')} per step"]
+    parts = [] if limits.step is None else [f"{most(limits.step, '')} per step"]
     if limits.dt is not None:
-        found.append("speeds of the arm" if limits.velocity is None else most(limits.velocity, "/s"))
+        parts.append("speeds of the arm" if limits.velocity is None else most(limits.velocity, "/s"))
         rates = ((limits.acceleration, "/s²"), (limits.jerk, "/s³"))
-        found += [most(value, per) for value, per in rates if value is not None]
-        found.append(f"steps of {limits.dt:.3g} s")
+        parts += [most(value, per) for value, per in rates if value is not None]
+        parts.append(f"steps of {limits.dt:.3g} s")
     if limits.position_margin:
-        found.append(f"{most(limits.position_margin, '')} from the ends of the joints")
-    return f"limits: {', '.join(found) or 'joint positions only'}"
+        parts.append(f"{most(limits.position_margin, '')} from the ends of the joints")
+    return f"limits: {', '.join(parts) or 'joint positions only'}"
 
 
 class WaypointMarkSettings(NamedTuple):

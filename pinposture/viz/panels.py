@@ -324,7 +324,7 @@ def plot_error(motion: Trajectory, ax: Axes) -> None:
     floor = ROUNDING * motion.arm.length
     largest = run.point_errors.max(axis=1)
     style: dict[str, Any] = {"color": color, "marker": marker(run.steps + 1)}
-    values, most = (np.where(each > floor, each, 0.0) for each in (motion.mean_error, largest))
+    values, most = (np.where(errors > floor, errors, 0.0) for errors in (motion.mean_error, largest))
     ax.plot(motion.time, values, lw=1.8, label="mean" if most.any() else None, **style)
     if most.any():
         ax.plot(motion.time, most, lw=0.8, label="largest", **style)
@@ -492,7 +492,7 @@ def plot_joints(trajectory: JointTrajectory) -> Figure:
     figure = Figure(figsize=(palette.FIGURE.width, palette.FIGURE.height), layout="constrained")
     panels: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
     colors, norm = palette.colors_along(count)
-    unit = " or ".join(each for each in dict.fromkeys(trajectory.units) if each)
+    unit = " or ".join(filter(None, dict.fromkeys(trajectory.units)))
     drawn = {
         "position": (trajectory.positions, ""),
         "velocity": (trajectory.velocities, "/s"),

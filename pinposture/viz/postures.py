@@ -170,7 +170,7 @@ class PosturePanel:
         base = self.arm.chain.base[None]
         distinct = list(dict.fromkeys(scene for scene in scenes if scene is not None))
         points = np.vstack([self.drawn, base]) if distinct else base
-        obstacles = [each for scene in distinct for each in shown_obstacles(scene, points)]
+        obstacles = [obstacle for scene in distinct for obstacle in shown_obstacles(scene, points)]
         self._obstacle_corners = shown_corners(obstacles)
         self.line(base, zorder=6, ls="none", marker="s", ms=6.5, color=THEME.base, label="base")
         if self.spatial:
@@ -243,18 +243,18 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
     """
     if not shown:
         return
-    near = [each for each in shown if len(each.near)]
-    solids = [each.near for each in near if not each.hollow]
-    for each in near:
-        if each.hollow:
-            _draw_dots(panel, each.near)
+    near = [obstacle for obstacle in shown if len(obstacle.near)]
+    solids = [obstacle.near for obstacle in near if not obstacle.hollow]
+    for obstacle in near:
+        if obstacle.hollow:
+            _draw_dots(panel, obstacle.near)
     if panel.spatial:
         _draw_solids(panel, solids)
         _dim_hidden_lines(panel, solids)
     else:
         _draw_sections(panel, solids)
     label = "obstacle" if len(shown) == 1 else "obstacles"
-    label += " (clipped)" if any(each.cut for each in near) else ""
+    label += " (clipped)" if any(obstacle.cut for obstacle in near) else ""
     label += f", {len(shown) - len(near)} far off" if len(near) < len(shown) else ""
     square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": POSTURES.edge_color, "mew": 0.7}
     panel.ax.plot([], [], mfc=(*palette.rgb(THEME.obstacle), THEME.see_through), label=label, **square)

@@ -73,7 +73,7 @@ def _plot_torques(simulation: Simulation, ax: Axes) -> None:
     limited = np.isfinite(simulation.torque_limits)
     if not np.any(limited[simulation.arm.columns]):
         _plot_joints(simulation, simulation.torques, ax)
-        slides = np.array([not each.turns for each in simulation.arm.drives])
+        slides = np.array([not drive.turns for drive in simulation.arm.drives])
         palette.format_time_axes(ax, f"torque [{_unit(simulation, slides, 'N m', 'N')}]")
         return
     shares = 100.0 * simulation.torques / simulation.torque_limits
