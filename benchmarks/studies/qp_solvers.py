@@ -72,7 +72,7 @@ def arranged(hessian: Array, gradient: Array, lower: Array, upper: Array, rows=N
     """The arguments of `program.solve` with rows of length 1; equations do not occur here."""
     matrix, least = (np.zeros((0, len(gradient))), np.zeros(0)) if rows is None else rows
     lengths = np.maximum(np.linalg.norm(matrix, axis=1), 1e-12)
-    high = np.r_[upper, np.full(len(least), avoidance.NO_BOUND)]
+    high = np.r_[upper, np.full(len(least), avoidance.ROW_PROGRAM.no_bound)]
     return Program(hessian, gradient, matrix / lengths[:, None], np.r_[lower, least / lengths], high)
 
 
@@ -104,7 +104,7 @@ def run(modules: int, situation: str, rng: np.random.Generator) -> None:
 
 def with_daqp(p: Program, last: Array | None) -> Array | None:
     """As `program.solve` calls it."""
-    options = {"primal_tol": avoidance.TOLERANCE, "eq_reduction": -1, "primal_start": last}
+    options = {"primal_tol": avoidance.ROW_PROGRAM.tolerance, "eq_reduction": -1, "primal_start": last}
     x, _, flag, _ = daqp.solve(p.H, p.g, p.M, p.high, p.low, None, **options)
     return x if flag == avoidance.SOLVED else None
 

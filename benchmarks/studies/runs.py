@@ -140,7 +140,7 @@ def _violation(run: Run) -> float:
 
 
 def arrived(row: Row) -> bool:
-    """Return whether the final error is within `TOLERANCE`."""
+    """Return whether the final error is within `ROW_PROGRAM.tolerance`."""
     return bool(row.error <= TOLERANCE * (1.0 + RISE))
 
 

@@ -29,7 +29,7 @@ from pinposture._validation import (
 )
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.control.planner.avoidance import NO_BOUND, solve
+from pinposture.control.planner.avoidance import ROW_PROGRAM, solve
 from pinposture.errors import InvalidValue, enumerated
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 from pinposture.motion.tolerances import FULL
@@ -268,7 +268,7 @@ class Actuators(Declared):
         # Equations with orthonormal rows, which say the same.
         exact = (u[:, :rank].T @ wanted) / sigma[:rank]
         size = max(float(np.abs(exact).max(initial=0.0)), float(lower.max()), 1e-30)
-        bounds = (lower / size, np.minimum(upper / size, NO_BOUND))
+        bounds = (lower / size, np.minimum(upper / size, ROW_PROGRAM.no_bound))
         found = solve(np.eye(count), np.zeros(count), *bounds, equal=(vt[:rank], exact / size)).x
         if found is not None:
             tensions = np.clip(size * found, lower, upper)

@@ -20,7 +20,7 @@ from pinposture.control import Controller, Geodesic, Limits, Step, controller_na
 from pinposture.control.limits import DEFAULT_CYCLE, JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
-from pinposture.control.planner.path import SPEED_SHARE, JointPath, SpeedProfile, TimedPath, retime
+from pinposture.control.planner.path import PATH, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
 from pinposture.motion.held import HeldObject
@@ -144,7 +144,7 @@ class ReferencePath:
         after = self.path.slopes[1:]
         middle = 3.0 * np.diff(self.path.offsets, axis=0) - before - after
         slopes = np.abs([before, middle, after]).max(axis=0)  # the slope in between is in their hull
-        bound = SPEED_SHARE * self.timed.bounds.bound
+        bound = PATH.speed_share * self.timed.bounds.bound
         full = np.maximum((slopes / bound).max(axis=1), PERFORM.row_tolerance)  # cycles per row at full speed
         begin = 0
         places = self.timed.places

@@ -30,7 +30,7 @@ def arm() -> pp.Arm:
 @pytest.fixture(autouse=True)
 def plans_in_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Paths of so short an arm would be found in the loop."""
-    monkeypatch.setattr(plan, "MAX_SHORT_MOTION", 6.0)
+    monkeypatch.setattr(plan, "PLAN", plan.PLAN._replace(most_short_motion=6.0))
 
 
 def refuse(*_: object) -> None:

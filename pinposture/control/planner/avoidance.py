@@ -23,22 +23,31 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-9
-"""Largest violation of a constraint by the solver; rows are scaled to length 1."""
+
+class RowProgramSettings(NamedTuple):
+    """How a small program with rows of constraints is solved."""
+
+    tolerance: float = 1e-9
+    """Largest violation of a constraint by the solver; rows are scaled to length 1."""
+
+    softness: float = 1e-7
+    """Softness of rows that may be violated: the inverse of the weight of their violation."""
+
+    zero_length: float = 1e-12
+    """Length below which a row counts as zero."""
+
+    no_bound: float = 1e30
+    """Value that the solver treats as infinite."""
+
+
+ROW_PROGRAM = RowProgramSettings()
+
 
 SOLVED = 1
 SOLVED_SOFTLY = 2
 HARD = 0
 EQUAL = 5
 SOFT = 8
-SOFTNESS = 1e-7
-"""Softness of rows that may be violated: the inverse of the weight of their violation."""
-
-ZERO_LENGTH = 1e-12
-"""Length below which a row counts as zero."""
-
-NO_BOUND = 1e30
-"""Value that the solver treats as infinite."""
 
 
 class ConstraintRows(NamedTuple):
@@ -53,7 +62,7 @@ class ConstraintRows(NamedTuple):
 
     def normal(self) -> ConstraintRows:
         """Return the same constraints with rows of length 1."""
-        lengths = np.maximum(np.linalg.norm(self.matrix, axis=1), ZERO_LENGTH)
+        lengths = np.maximum(np.linalg.norm(self.matrix, axis=1), ROW_PROGRAM.zero_length)
         return ConstraintRows(self.matrix / lengths[:, None], self.least / lengths)
 
     def lowest(self, lower: Array, upper: Array) -> Array:
@@ -116,12 +125,12 @@ def solve(
             np.ascontiguousarray(hessian / size),
             gradient / size,
             np.ascontiguousarray(np.vstack([strict.matrix, matrix, equations[0]])),
-            np.concatenate([upper, np.full(counts[1] + counts[2], NO_BOUND), equations[1]]),
+            np.concatenate([upper, np.full(counts[1] + counts[2], ROW_PROGRAM.no_bound), equations[1]]),
             np.concatenate([lower, strict.least, least, equations[1]]),
             kinds.astype(np.int32),
-            primal_tol=TOLERANCE,
+            primal_tol=ROW_PROGRAM.tolerance,
             eq_reduction=-1,
-            rho_soft=SOFTNESS,
+            rho_soft=ROW_PROGRAM.softness,
         )
         return x if flag in (SOLVED, SOLVED_SOFTLY) and np.all(np.isfinite(x)) else None
 
@@ -131,55 +140,71 @@ def solve(
         softened = True
         nearest = attempt(np.eye(n), np.zeros(n), least, soft=True)
         if nearest is not None:  # relax the rows as far as needed, then minimise within them
-            least = np.minimum(least, matrix @ nearest - TOLERANCE)
+            least = np.minimum(least, matrix @ nearest - ROW_PROGRAM.tolerance)
             x = attempt(hessian, gradient, least, soft=False)
             x = nearest if x is None else x
     if x is None:
         return Solution(None, binding, softened)
     x = np.minimum(np.maximum(x, lower), upper)
-    binding[possible] = matrix @ x <= least + 10.0 * TOLERANCE
+    binding[possible] = matrix @ x <= least + 10.0 * ROW_PROGRAM.tolerance
     return Solution(x, binding, softened)
 
 
-CONSTRAINED_DISTANCE = 0.15
-"""Distance beyond the margin up to which pairs are constrained, in arm lengths: more than a step covers."""
+class AvoidanceSettings(NamedTuple):
+    """How far obstacles are seen, and how much of its clearance a step may take."""
 
-MAX_CLEARANCE_LOSS = 0.5
-"""Share of its remaining clearance that a pair may lose in one step."""
+    constrained_distance: float = 0.15
+    """Distance beyond the margin up to which pairs are constrained, in arm lengths: more than a step
+    covers."""
 
-STEP_CLEARANCE = 0.002
-"""Clearance that steps keep beyond the margin, in arm lengths, to allow for curvature within a step."""
+    most_clearance_lost: float = 0.5
+    """Share of its remaining clearance that a pair may lose in one step."""
 
-PATH_CLEARANCE = 0.01
-PATH_SIGHT = 0.025
-"""Clearance that a planned path keeps beyond the margin where possible, and further distance up to which
-pairs are considered while a path is relaxed, in arm lengths. Of twice the sight, `docs/design/relaxation.md`
-tells the cost; `make study STUDY=clutter` guards both."""
+    step_clearance: float = 0.002
+    """Clearance that steps keep beyond the margin, in arm lengths, to allow for curvature within a
+    step."""
 
-GAIN_SHARE = 0.5
-RETREAT_GAIN_SHARE = 0.9
-"""Share of the largest possible gain of clearance in a step that is required of a pair that is too close: for
-a fixed obstacle, and for one that moves or has been moved. With half of the gain, a joint comes to no more
-than the speed that it can brake in one step."""
+    path_clearance: float = 0.01
+    """Clearance that a planned path keeps beyond the margin where possible, in arm lengths."""
 
-RETREAT_SHARE = 0.2
-RETREAT_SPEED_SHARE = 0.5
-"""Share of the largest acceleration and speed away from an obstacle that a retreat relies on."""
+    path_sight: float = 0.025
+    """Further distance up to which pairs are considered while a path is relaxed, in arm lengths. Of
+    twice as much, `docs/design/relaxation.md` tells the cost; `make study STUDY=clutter` guards it and
+    the clearance."""
 
-MAX_NAMED_PAIRS = 3
-"""Largest number of pairs that a message lists."""
+    gain_share: float = 0.5
+    """Share of the largest possible gain of clearance in a step that is required of a pair that is too
+    close, for an obstacle at rest."""
+
+    retreat_gain_share: float = 0.9
+    """The same for an obstacle that moves or has been moved. With half of the gain, a joint comes to no
+    more than the speed that it can brake in one step."""
+
+    retreat_share: float = 0.2
+    """Share of the largest acceleration away from an obstacle that a retreat relies on."""
+
+    retreat_speed_share: float = 0.5
+    """Share of the largest speed away from an obstacle that a retreat relies on."""
+
+    named_pairs: int = 3
+    """Largest number of pairs that a message lists."""
+
+    sampled_turn: float = 0.05
+    """Largest motion of a joint between two states of a motion at which constraints are checked, in
+    `Arm.joint_units`."""
+
+    halvings: int = 6
+    """How often a step from which the arm cannot stop clear is moved halfway to braking, before it
+    brakes."""
+
+
+AVOIDANCE = AvoidanceSettings()
+
 
 BRAKING_HARDER = "acceleration limit: braking within it would cause contact"
 
 MEASURED_ARM = "the measured arm"
 """Beginning of messages on pairs at which the measured arm limits a step, not the commanded one."""
-
-SAMPLED_TURN = 0.05
-"""Largest motion of a joint between two states of a motion at which constraints are checked, in
-`Arm.joint_units`."""
-
-MAX_HALVINGS = 6
-"""How often a step from which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
 
 def describe_lost_margin(pair: Sequence[str], distance: float, margin: float) -> str:
@@ -237,7 +262,7 @@ class Avoidance:
     A step is clear if the arm keeps its margin during the step and while it then brakes to a stop within all
     limits. From rest, staying is clear; after a clear step, braking is. So the arm never has to brake harder
     than it can. The constraints of the objective are kept in the same way, checked at states
-    at most `SAMPLED_TURN` apart; but the arm never brakes harder than its limits for them.
+    at most `AVOIDANCE.sampled_turn` apart; but the arm never brakes harder than its limits for them.
 
     Args:
         clearance: the collision model.
@@ -294,7 +319,7 @@ class Avoidance:
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
         if bounds.effort is not None and stopping is not None:
             steps = max(steps, len(stopping) + 2.0)
-        self._approach = 2.0 / max(steps, 2.0 / MAX_CLEARANCE_LOSS)
+        self._approach = 2.0 / max(steps, 2.0 / AVOIDANCE.most_clearance_lost)
         self._dt = 0.0 if bounds.dt is None else bounds.dt
         self.moving = bool(clearance.scene.velocities)
         self.still = not self.moving and offset is None
@@ -371,7 +396,7 @@ class Avoidance:
     @property
     def _sight(self) -> float:
         """Distance up to which pairs are constrained [m]."""
-        return self.margin + CONSTRAINED_DISTANCE * self._length
+        return self.margin + AVOIDANCE.constrained_distance * self._length
 
     def rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows | None:
         """Return the velocity damper: no pair may lose more than a share of its clearance in one step.
@@ -403,21 +428,21 @@ class Avoidance:
         """Return the rows of constraints: none loses more than a share of its room, as pairs of clearance."""
         sides = self.sides(state)
         matrix = sides.matrix[:, self.objective.columns] * self.objective.units
-        room = sides.room - STEP_CLEARANCE * self._length
+        room = sides.room - AVOIDANCE.step_clearance * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
-        return ConstraintRows(matrix, np.minimum(-self._approach * room, GAIN_SHARE * most))
+        return ConstraintRows(matrix, np.minimum(-self._approach * room, AVOIDANCE.gain_share * most))
 
     def _damper(self, near: Distances, lower: Array, upper: Array) -> ConstraintRows | None:
         """Return the rows of pairs that are near; None if there are none."""
         if not len(near.distances):
             return None
         matrix = near.jacobian[:, self.objective.columns] * self.objective.units
-        room = near.distances - self.margin - STEP_CLEARANCE * self._length
+        room = near.distances - self.margin - AVOIDANCE.step_clearance * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
-        share = np.full(len(room), GAIN_SHARE)
+        share = np.full(len(room), AVOIDANCE.gain_share)
         moved = self.clearance.scene.moving
         if moved:  # such an obstacle may still approach
-            share[[not moved.isdisjoint(pair) for pair in near.pairs]] = RETREAT_GAIN_SHARE
+            share[[not moved.isdisjoint(pair) for pair in near.pairs]] = AVOIDANCE.retreat_gain_share
         if not self.moving:
             return ConstraintRows(matrix, np.minimum(-self._approach * room, share * most))
         # Retreating at c - a r, where c is the speed of the obstacle, takes an acceleration of at most a c.
@@ -425,13 +450,13 @@ class Avoidance:
         approach = np.full(len(room), self._approach)
         if self._bounds.brake is not None:
             brake = self._bounds.brake[self.objective.columns] / self.objective.units
-            able = RETREAT_SHARE * (np.abs(matrix) @ np.minimum(brake, 1e9))
+            able = AVOIDANCE.retreat_share * (np.abs(matrix) @ np.minimum(brake, 1e9))
             approach = np.minimum(approach, able / np.maximum(closing, 1e-12))
         # From an obstacle that is faster than the arm, it retreats the earlier, the faster the obstacle is.
         bound = self._bounds.bound[self.objective.columns] / self.objective.units
-        speed = RETREAT_SPEED_SHARE * (np.abs(matrix) @ np.minimum(bound, 1e9))
+        speed = AVOIDANCE.retreat_speed_share * (np.abs(matrix) @ np.minimum(bound, 1e9))
         faster = closing > speed
-        sight = (1.0 - speed[faster] / closing[faster]) * CONSTRAINED_DISTANCE * self._length
+        sight = (1.0 - speed[faster] / closing[faster]) * AVOIDANCE.constrained_distance * self._length
         approach[faster] = np.minimum(approach[faster], closing[faster] / sight)
         return ConstraintRows(matrix, np.minimum(closing - approach * room, share * most))
 
@@ -454,8 +479,8 @@ class Avoidance:
             q: a configuration, (nq,).
             offsets: displacements from it, (s, nv) [rad or m].
         """
-        wanted = self.margin + PATH_CLEARANCE * self._length
-        found = self.clearance.contacts_along(q, offsets, wanted + PATH_SIGHT * self._length)
+        wanted = self.margin + AVOIDANCE.path_clearance * self._length
+        found = self.clearance.contacts_along(q, offsets, wanted + AVOIDANCE.path_sight * self._length)
         return PathClearance(
             errors=wanted - found.distances,
             samples=found.samples,
@@ -503,7 +528,9 @@ class Avoidance:
         """Return displacements (s, nv) on straight motions, and the index of each waypoint among them."""
         arm = self.objective.arm
         turns = np.abs(np.diff(path, axis=0) / arm.joint_units).max(axis=1, initial=0.0)
-        ends = np.append(0, np.cumsum(np.maximum(np.ceil(turns / SAMPLED_TURN), 1.0))).astype(np.intp)
+        ends = np.append(0, np.cumsum(np.maximum(np.ceil(turns / AVOIDANCE.sampled_turn), 1.0))).astype(
+            np.intp
+        )
         counts = np.diff(ends)
         piece = np.repeat(np.arange(len(counts)), counts)
         share = (np.arange(ends[-1]) - ends[piece]) / counts[piece]
@@ -518,7 +545,7 @@ class Avoidance:
     def missing_room(self, state: ChainState, root: float) -> LinearRows:
         """Return rows that move a waypoint back within its constraints, times the root of their weight."""
         sides = self.sides(state)
-        wanted = PATH_CLEARANCE * self._length - sides.room
+        wanted = AVOIDANCE.path_clearance * self._length - sides.room
         near = wanted > 0.0
         matrix = sides.matrix[near][:, self.objective.columns] * self.objective.units
         return LinearRows(root * matrix, root * wanted[near])
@@ -581,7 +608,7 @@ class Avoidance:
         worst = self._violation_in(state, braking) if self.constrained else 0.0
         accepted = max(worst, self.violation(state))
         closer: list[tuple[float, ClearStep]] = []
-        for number in range(MAX_HALVINGS):
+        for number in range(AVOIDANCE.halvings):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
             stop = self._stop_after(state, step)
@@ -611,8 +638,8 @@ class Avoidance:
         None if a moving obstacle comes all the same, or the motors have not the torque: no more than
         `strongest`, relative to its limit.
         """
-        for number in range(1, MAX_HALVINGS + 1):
-            step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
+        for number in range(1, AVOIDANCE.halvings + 1):
+            step = 0.5**number * braking[0] * (number < AVOIDANCE.halvings)
             stop = self._stop_after(state, step)
             if stop.share > strongest:
                 return None
@@ -670,7 +697,7 @@ class Avoidance:
     def _violation_in(self, state: ChainState, steps: Array, held: Array | None = None) -> float:
         """Return the largest violation of a constraint during steps (k, nv) [m]; as for `_violates`."""
         alone = None if self.constraints else self.torques
-        near = np.abs(steps).max(axis=0) <= SAMPLED_TURN * self.objective.arm.joint_units
+        near = np.abs(steps).max(axis=0) <= AVOIDANCE.sampled_turn * self.objective.arm.joint_units
         if held is not None and alone is not None and near.all():
             return float(alone.excess(held).max())
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
@@ -698,9 +725,13 @@ class Avoidance:
             near = self.near(state)
             close = np.flatnonzero(near.distances < least)
             words = [describe_lost_margin(near.pairs[k], near.distances[k], self.margin) for k in close]
-        more = (f"margin: {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
+        more = (
+            (f"margin: {len(words) - AVOIDANCE.named_pairs} more pairs",)
+            if len(words) > AVOIDANCE.named_pairs
+            else ()
+        )
         broken = self.describe_broken(state) if self.constrained else ()
-        return (*words[:MAX_NAMED_PAIRS], *more, *broken)
+        return (*words[: AVOIDANCE.named_pairs], *more, *broken)
 
     def describe_broken(self, state: ChainState) -> tuple[str, ...]:
         """Describe the constraints and the torque limit that are violated at a state."""
@@ -752,14 +783,14 @@ class Avoidance:
     ) -> tuple[str, ...]:
         """Return a message for each constraint that limits a step."""
         sides = self.sides(state)
-        which = (sides.room <= 1.5 * STEP_CLEARANCE * self._length) & stuck
+        which = (sides.room <= 1.5 * AVOIDANCE.step_clearance * self._length) & stuck
         which = which | binding if len(binding) == len(which) else which
         names = {sides.names[k] for k in np.flatnonzero(which)}
         return tuple(f"constraint {name}" for name in sorted(names))
 
     def _which(self, near: Distances, binding: NDArray[np.bool_], stuck: bool) -> NDArray[np.bool_]:
         """Return which pairs limit a step."""
-        which = near.distances <= self.margin + 1.5 * STEP_CLEARANCE * self._length
+        which = near.distances <= self.margin + 1.5 * AVOIDANCE.step_clearance * self._length
         which &= stuck
         return which | binding if len(binding) == len(which) else which
 

@@ -11,51 +11,71 @@ from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.control.limits import StepBox
 from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
-from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
-from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION
+from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
+from pinposture.control.planner.path import PATH
 from pinposture.kernels.arrays import PostureProblem, SearchSettings
 
 Array = NDArray[np.float64]
 
-MIN_DAMPING = 1e-10
-"""Damping that remains at the target, relative to the mean diagonal of A^T A, for positive definiteness."""
 
-DAMPING_SHARE = 0.5
-"""Damping relative to the sum of squared errors (Sugihara 2011)."""
+class DescentSettings(NamedTuple):
+    """How damped least squares go down, for a step and for a search of many."""
 
-DECREASE = 0.3
-INCREASE = 4.0
-MIN_FACTOR = 1e-6
-MAX_FACTOR = 1e9
-"""Changes of the damping factor after a step that reduced the cost and one that did not, and its range."""
+    least_damping: float = 1e-10
+    """Damping that remains at the target, relative to the mean diagonal of A^T A, for positive
+    definiteness."""
 
-SEARCH_STEP = 0.2
-"""Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
+    damping_share: float = 0.5
+    """Damping relative to the sum of squared errors (Sugihara 2011)."""
 
-MAX_SEARCH_STEPS = 120
-CONVERGED = 1e-6
-MAX_IDLE = 3
-"""Largest number of iterations; relative decrease of the cost that counts as none; how often in a row."""
+    decrease: float = 0.3
+    """Change of the damping factor after a step that reduced the cost."""
 
-MAX_QUICK_STEPS = 6
-"""Largest number of steps of a search for a nearby posture."""
+    increase: float = 4.0
+    """Change of the damping factor after a step that did not."""
 
-INDEPENDENT = 1e-6
-"""Smallest singular value of independent rows of tasks with priority, relative to the largest."""
+    least_factor: float = 1e-6
+    """Smallest damping factor."""
 
-PRIORITY_DAMPING = 1e-8
-"""Damping of the step for tasks with priority alone, relative to the mean diagonal of A^T A."""
+    most_factor: float = 1e9
+    """Largest damping factor; a search ends there."""
 
-FEW_ROWS = 2
-SQUARED_JOINTS_PER_ROW = 1000.0
-"""Number of constraints up to which the time that is linear in the number of joints is the shorter one: the
-first, and for long arms the square of the number of joints over the second."""
+    search_step: float = 0.2
+    """Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
 
-RETREAT_TOLERANCE = 1e-6
-"""Gain of clearance in a step that a measured arm at rest need not make, in arm lengths."""
+    search_steps: int = 120
+    """Largest number of iterations of a search."""
 
-CURVATURE_CORRECTIONS = 4
-"""How often a step is corrected for the second-order errors of tasks with priority."""
+    converged: float = 1e-6
+    """Relative decrease of the cost that counts as none."""
+
+    idle_steps: int = 3
+    """How often in a row the cost may fail to decrease before a search ends."""
+
+    quick_steps: int = 6
+    """Largest number of steps of a search for a nearby posture."""
+
+    independent: float = 1e-6
+    """Smallest singular value of independent rows of tasks with priority, relative to the largest."""
+
+    priority_damping: float = 1e-8
+    """Damping of the step for tasks with priority alone, relative to the mean diagonal of A^T A."""
+
+    few_rows: int = 2
+    """Number of constraints up to which the time that is linear in the number of joints is the shorter
+    one."""
+
+    squared_joints_per_row: float = 1000.0
+    """For long arms that number is the square of the number of joints over this."""
+
+    retreat_tolerance: float = 1e-6
+    """Gain of clearance in a step that a measured arm at rest need not make, in arm lengths."""
+
+    curvature_corrections: int = 4
+    """How often a step is corrected for the second-order errors of tasks with priority."""
+
+
+DESCENT = DescentSettings()
 
 
 class PlanningProblem(NamedTuple):
@@ -97,12 +117,14 @@ class StepBounds(NamedTuple):
         cls, objective: Objective, state: ChainState, box: StepBox, avoidance: Avoidance | None
     ) -> StepBounds:
         """Return the bounds that limits and obstacles impose."""
-        lower, upper = (np.clip(objective.normalize(side), -MAX_STEP, MAX_STEP) for side in box.sides)
+        lower, upper = (
+            np.clip(objective.normalize(side), -PATH.most_step, PATH.most_step) for side in box.sides
+        )
         if avoidance is None:
             return cls(state, lower, upper, None)
         rows = avoidance.rows(state, lower, upper)
         may_retreat = avoidance.moving or avoidance.offset is not None or avoidance.lost(state)
-        least = 0.0 if avoidance.moving else RETREAT_TOLERANCE * state.arm.length
+        least = 0.0 if avoidance.moving else DESCENT.retreat_tolerance * state.arm.length
         retreating = may_retreat and rows is not None and bool(np.any(rows.least > least))
         return cls(state, lower, upper, rows, retreating)
 
@@ -144,13 +166,13 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
     if not objective.tasks:
         solver = ChainSolver(objective, bounds.state)
         errors, squares = objective.point_errors(bounds.state)
-        least = MIN_DAMPING * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
-        weight = damping * DAMPING_SHARE * scale**2 * squares + least
+        least = DESCENT.least_damping * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
+        weight = damping * DESCENT.damping_share * scale**2 * squares + least
         return solve_posture(solver, scale * errors, weight, np.zeros(len(bounds.lower)), bounds)
     rows = objective.rows(bounds.state)
     errors = scale * rows.errors
-    least = MIN_DAMPING * mean_diagonal(objective, rows.matrix)
-    hessian = damped_hessian(rows.matrix, damping * DAMPING_SHARE * float(errors @ errors) + least)
+    least = DESCENT.least_damping * mean_diagonal(objective, rows.matrix)
+    hessian = damped_hessian(rows.matrix, damping * DESCENT.damping_share * float(errors @ errors) + least)
     tasks = objective.task_rows(bounds.state, priority=True)
     first = None
     if tasks is not None:
@@ -181,7 +203,7 @@ def solve_posture(
     normal = bounds.rows.normal()
     possible = np.flatnonzero(normal.lowest(lower, upper) < normal.least)
     found = None
-    if len(possible) <= max(FEW_ROWS, len(lower) ** 2 / SQUARED_JOINTS_PER_ROW):
+    if len(possible) <= max(DESCENT.few_rows, len(lower) ** 2 / DESCENT.squared_joints_per_row):
         chosen = LinearRows(normal.matrix[possible], normal.least[possible])
         found = solver.constrained_step(*given, chosen)
     if found is None:
@@ -220,14 +242,14 @@ def solve_priority(
         wanted: the motion that the rows should have, (r,) [m].
         center: the step to stay close to, (n,).
     """
-    damping = PRIORITY_DAMPING * mean_diagonal(objective, tasks.matrix)
+    damping = DESCENT.priority_damping * mean_diagonal(objective, tasks.matrix)
     hessian = damped_hessian(tasks.matrix, damping)
     gradient = -(tasks.matrix.T @ wanted + damping * center)
     alone = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows)
     if alone.x is None:
         return None
     _, sigma, right = np.linalg.svd(tasks.matrix, full_matrices=False)
-    return PriorityStep(alone.x, right[sigma > INDEPENDENT * max(float(sigma[0]), 1e-300)])
+    return PriorityStep(alone.x, right[sigma > DESCENT.independent * max(float(sigma[0]), 1e-300)])
 
 
 def solve_remaining(
@@ -259,11 +281,11 @@ def correct_curvature(
     before = objective.task_rows(bounds.state, priority=True)
     if before is None:
         return x
-    inverse = np.linalg.pinv(before.matrix, rcond=INDEPENDENT)
+    inverse = np.linalg.pinv(before.matrix, rcond=DESCENT.independent)
     planned = before.errors - before.matrix @ x if planned is None else planned
     left = np.inf
     best = x
-    for _ in range(CURVATURE_CORRECTIONS):
+    for _ in range(DESCENT.curvature_corrections):
         after = objective.task_rows(objective.state_after(bounds.state, x), priority=True)
         missed = planned if after is None else after.errors - planned
         found = float(np.linalg.norm(missed))
@@ -280,7 +302,7 @@ def minimize(
     state: ChainState,
     good: float,
     allowed: float = 0.0,
-    steps: int = MAX_SEARCH_STEPS,
+    steps: int = DESCENT.search_steps,
 ) -> LeastSquaresResult:
     """Search for a local minimum of the cost by steps from a state.
 
@@ -353,14 +375,14 @@ def descend(problem: LeastSquaresProblem, state: ChainState, steps: int) -> tupl
         found = None if tried is None else problem.rate(tried)
         if tried is not None and found is not None and found < rating:
             closer = found.violation < rating.violation
-            idle = 0 if closer or found.cost <= (1.0 - CONVERGED) * rating.cost else idle + 1
+            idle = 0 if closer or found.cost <= (1.0 - DESCENT.converged) * rating.cost else idle + 1
             state = tried
             rating = found
-            damping = max(damping * DECREASE, MIN_FACTOR)
+            damping = max(damping * DESCENT.decrease, DESCENT.least_factor)
         else:
-            damping *= INCREASE
-            idle += damping > MAX_FACTOR
-        if idle >= MAX_IDLE:
+            damping *= DESCENT.increase
+            idle += damping > DESCENT.most_factor
+        if idle >= DESCENT.idle_steps:
             break
     return state, rating
 
@@ -390,8 +412,8 @@ class _PostureFit(NamedTuple):
         columns = objective.columns
         here = state.positions[columns]
         lower, upper = ((edge[columns] - here) / objective.units for edge in self.problem.edges)
-        lower = np.clip(lower, -SEARCH_STEP, 0.0)
-        upper = np.clip(upper, 0.0, SEARCH_STEP)
+        lower = np.clip(lower, -DESCENT.search_step, 0.0)
+        upper = np.clip(upper, 0.0, DESCENT.search_step)
         rows = None if avoidance is None else avoidance.rows(state, lower, upper)
         bounds = StepBounds(state, lower, upper, rows)
         x = reduce_errors(objective, bounds, damping).x
@@ -424,11 +446,11 @@ def find_positions_near(objective: Objective, state: ChainState, edges: Array) -
     target = objective.target
     if target.q is not None:
         return arm.difference(arm.origin, target.q) if len(objective.active) == arm.n_modules else None
-    if objective.mean_error(state) > SHORT_MOTION * arm.length:
+    if objective.mean_error(state) > PATH.short_motion * arm.length:
         return None
     positions = state.raw_positions.copy()
-    good = GOAL_TOLERANCE * arm.length
-    return positions if _search(objective, positions, edges, good, MAX_QUICK_STEPS)[1] <= good else None
+    good = OBJECTIVE.goal_tolerance * arm.length
+    return positions if _search(objective, positions, edges, good, DESCENT.quick_steps)[1] <= good else None
 
 
 def _search(
@@ -452,17 +474,17 @@ def _search(
     settings = SearchSettings(
         good=good,
         largest_error=arm.length / arm.n_modules,
-        largest_step=SEARCH_STEP,
-        damping_share=DAMPING_SHARE,
+        largest_step=DESCENT.search_step,
+        damping_share=DESCENT.damping_share,
         stiffness_share=0.0,
-        least_damping=MIN_DAMPING,
+        least_damping=DESCENT.least_damping,
         least_stiffness=1e-12 * arm.length**2,
-        decrease=DECREASE,
-        increase=INCREASE,
-        least_factor=MIN_FACTOR,
-        most_factor=MAX_FACTOR,
-        converged=CONVERGED,
-        idle=MAX_IDLE,
+        decrease=DESCENT.decrease,
+        increase=DESCENT.increase,
+        least_factor=DESCENT.least_factor,
+        most_factor=DESCENT.most_factor,
+        converged=DESCENT.converged,
+        idle=DESCENT.idle_steps,
         steps=steps,
     )
     return kernels.minimise_posture_errors(problem, settings, positions)

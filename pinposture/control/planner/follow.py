@@ -26,11 +26,7 @@ from pinposture.control.limits import (
 )
 from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
-    CONVERGED,
-    DECREASE,
-    INCREASE,
-    MIN_FACTOR,
-    PRIORITY_DAMPING,
+    DESCENT,
     StepBounds,
     correct_curvature,
     damped_hessian,
@@ -41,8 +37,8 @@ from pinposture.control.planner.damped_least_squares import (
     solve_priority,
     solve_remaining,
 )
-from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
-from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, timed_again
+from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
+from pinposture.control.planner.path import PATH, JointPath, TimedPath, timed_again
 from pinposture.control.tasks import Displaced, rows_of
 from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
@@ -53,48 +49,65 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-MAX_DEVIATION = 0.05
-"""Joint motion between measured and expected configuration beyond which the path is replanned, in
-`Arm.joint_units`."""
 
-PROGRESS_SHARE = 0.005
-"""Share of a path that counts as progress for an arm that is hindered."""
+class FollowingSettings(NamedTuple):
+    """How a path is followed, and when a step counts as progress on it."""
 
-ARRIVED = 1e-9
-"""Remaining joint motion at which the arm is at the end of a path, in `Arm.joint_units`."""
+    most_deviation: float = 0.05
+    """Joint motion between measured and expected configuration beyond which the path is replanned, in
+    `Arm.joint_units`."""
+
+    progress_share: float = 0.005
+    """Share of a path that counts as progress for an arm that is hindered."""
+
+    arrived: float = 1e-9
+    """Remaining joint motion at which the arm is at the end of a path, in `Arm.joint_units`."""
+
+    error_rounding: float = 1e-12
+    """Increase of the posture error that is attributed to rounding, in arm lengths."""
+
+    steps_ahead: int = 8
+    """Number of steps on a path that are computed in one call."""
+
+    attempts: int = 8
+    """How often the damping is increased for a step that fails to reduce the errors, before none is
+    taken."""
+
+    bound_slack: float = 1e-12
+    """Rounding error of a step, in `Arm.joint_units`; steps are clipped at their limits anyway."""
+
+    negligible_error: float = 1e-13
+    """Error that is attributed to rounding and not reduced further, in arm lengths."""
+
+    most_lag: float = 0.5
+    """Share of a step by which an arm may lag behind its place on the path and still count as making
+    progress, however short the step that its slowest joint allows."""
+
+    most_pursued_motion: float = 0.5
+    """Joint motion to a moving target up to which the joints move there directly, in `Arm.joint_units`."""
+
+    most_untimed_bend: float = 1e-3
+    """Displacement of the end of a path beyond which the path is retimed, in `Arm.joint_units`."""
+
+    task_deviation: float = 0.1
+    """Largest deviation of the errors of tasks with priority from straight ones, relative to their
+    change. Of 36 paths most deviate by up to 0.5 % of it, and some by 3 % where the arm is almost
+    singular, where a correction takes long motions. A task that is held has no change, so it is held."""
+
+
+FOLLOWING = FollowingSettings()
+
 
 PATH_TOLERANCES = PathTolerances(
-    disturbed=MAX_DEVIATION, arrived=ARRIVED, rounding=LIMIT_ROUNDING, max_motion=MAX_STEP
+    disturbed=FOLLOWING.most_deviation,
+    arrived=FOLLOWING.arrived,
+    rounding=LIMIT_ROUNDING,
+    max_motion=PATH.most_step,
 )
 """Tolerances of the steps that a kernel computes ahead."""
 
 CANNOT_EVADE = "no step within the limits leads the measured arm away from what it is too close to"
 """Reason for which an arm at its target stands, though the measured one has lost the margin there."""
-
-ERROR_ROUNDING = 1e-12
-"""Increase of the posture error that is attributed to rounding, in arm lengths."""
-
-STEPS_AHEAD = 8
-"""Number of steps on a path that are computed in one call."""
-
-MAX_ATTEMPTS = 8
-"""How often the damping is increased for a step that fails to reduce the errors, before none is taken."""
-
-BOX_SLACK = 1e-12
-"""Rounding error of a step, in `Arm.joint_units`; steps are clipped at their limits anyway."""
-
-NEGLIGIBLE_ERROR = 1e-13
-"""Error that is attributed to rounding and not reduced further, in arm lengths."""
-
-MAX_LAG = 0.5
-"""Share of a step by which an arm may lag behind its place on the path and still count as making progress,
-however short the step that its slowest joint allows."""
-
-MAX_PURSUED_MOTION = 0.5
-"""Joint motion to a moving target up to which the joints move there directly, in `Arm.joint_units`."""
-
-MAX_UNTIMED_BEND = 1e-3
-"""Displacement of the end of a path beyond which the path is retimed, in `Arm.joint_units`."""
 
 
 class StepsAhead(NamedTuple):
@@ -179,7 +192,7 @@ class PathProgress(NamedTuple):
             ahead: the next steps, if already computed.
             taken: number of those steps that have been taken.
         """
-        idle = hindered and place < self.progress_place + PROGRESS_SHARE * self.timed.path.end
+        idle = hindered and place < self.progress_place + FOLLOWING.progress_share * self.timed.path.end
         return PathProgress(  # faster than `_replace`, and called in nearly every cycle
             self.timed,
             self.objective,
@@ -204,14 +217,14 @@ class PathProgress(NamedTuple):
         chain = arm.kinematics
         units = self.timed.bounds.units
         away = kernels.joint_distance(self.expected, state.raw_positions, chain.endless, chain.columns, units)
-        return away <= MAX_DEVIATION
+        return away <= FOLLOWING.most_deviation
 
     def is_expected(self, state: ChainState) -> bool:
         """Whether the arm is at its expected position, up to rounding."""
         if self.expected is None:
             return False
         off = state.raw_positions - self.expected
-        return bool(off.dot(off) <= BOX_SLACK**2)
+        return bool(off.dot(off) <= FOLLOWING.bound_slack**2)
 
     def can_stop(self, state: ChainState) -> bool:
         """Whether an arm that moves on a path timed within torque limits can stop on it."""
@@ -246,7 +259,7 @@ class PathProgress(NamedTuple):
     def deformed(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
         """Return this progress on a bent path, retimed if the bend, as in the attribute, changed enough."""
         since = bend if self.timed_bend is None else bend - self.timed_bend
-        little = np.all(np.abs(since) <= MAX_UNTIMED_BEND * path.arm.joint_units)
+        little = np.all(np.abs(since) <= FOLLOWING.most_untimed_bend * path.arm.joint_units)
         if little and self.timed.bounds is limits.for_arm(path.arm):
             timed = replace(self.timed, path=path)
             return self._replace(timed=timed, objective=path.objective, bend=bend, ahead=None)
@@ -461,7 +474,7 @@ _NO_MESSAGES = _Messages()
 
 def _rises(objective: Objective, before: float, after: float) -> bool:
     """Whether the posture error rises in a step, from that before and after it [m], by more than rounding."""
-    return after > before + ERROR_ROUNDING * objective.arm.length
+    return after > before + FOLLOWING.error_rounding * objective.arm.length
 
 
 def _steps_ahead(
@@ -475,7 +488,7 @@ def _steps_ahead(
     timed = progress.timed
     goals = progress.objective.chain
     expected = progress.expected
-    count = 1 if timed.scheduled else STEPS_AHEAD
+    count = 1 if timed.scheduled else FOLLOWING.steps_ahead
     if expected is None:
         expected = state.raw_positions
     elif not progress.is_expected(state):
@@ -542,12 +555,12 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
         state.placements.points,
         goal,
         arm.multi_turn,
-        SHORT_MOTION,
+        PATH.short_motion,
         LIMIT_ROUNDING,
         PointGoals(wanted.targets, wanted.flags),
         found,
     )
-    if not (simple and after <= len(objective.active) * GOAL_TOLERANCE * arm.length):
+    if not (simple and after <= len(objective.active) * OBJECTIVE.goal_tolerance * arm.length):
         return None
     return Step(
         found.dq,
@@ -602,7 +615,7 @@ def pursue(
     columns = objective.columns
     positions = state.raw_positions
     rest = _turned(arm, found - positions)
-    near = np.abs(rest) <= MAX_PURSUED_MOTION * arm.joint_units
+    near = np.abs(rest) <= FOLLOWING.most_pursued_motion * arm.joint_units
     moves = near & (np.abs(motion) <= bounds.bound)
     inside = kernels.position_excess(positions + rest, bounds.edges, arm.kinematics.columns) == 0.0
     box = bounds.box(state, None if memory is None else memory.dq)
@@ -705,7 +718,7 @@ def _clear_stop(
     if found is not None or brake is None or bounds.effort is not None or moved.timed.profile is None:
         return found
     off = path.offset_of(state, moved.place) + dq - path.smooth_offset(moved.place)
-    if np.any(np.abs(off) > ARRIVED * path.arm.joint_units):
+    if np.any(np.abs(off) > FOLLOWING.arrived * path.arm.joint_units):
         return None
     stopping = stopping_on_path(moved)
     changes = np.diff(np.vstack([dq, stopping, np.zeros(len(dq))]), axis=0)
@@ -760,12 +773,6 @@ def advance(
     return check_step(candidate, state, bounds, box, avoidance, progress)
 
 
-TASK_DEVIATION = 0.1
-"""Largest deviation of the errors of tasks with priority from straight ones, relative to their change. Of 36
-paths most deviate by up to 0.5 % of it, and some by 3 % where the arm is almost singular, where a correction
-takes long motions. A task that is held has no change, so it is held."""
-
-
 def step_along(
     progress: PathProgress,
     state: ChainState,
@@ -791,7 +798,7 @@ def step_along(
     tasks = objective.task_rows(state, priority=True)
     proposal = _next_on_path(progress, state, box, bounds, tasks)
     place, left, inside, hindered, dq, _ = proposal
-    if place >= path.end and left <= ARRIVED:
+    if place >= path.end and left <= FOLLOWING.arrived:
         progress = progress._replace(arrived=True, place=path.end)
         return reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
     if inside and avoidance is None and not objective.tasks:
@@ -799,7 +806,7 @@ def step_along(
         return CandidateStep(dq, progress.moved_to(place, bounds.travel, hindered and place <= here))
     if progress.timed.profile is None and here < place:
         lag = np.abs(path.offset(here) - path.offset_of(state, here))
-        hindered = bool(np.any((lag > MAX_LAG * progress.timed.bounds.bound)[objective.columns]))
+        hindered = bool(np.any((lag > FOLLOWING.most_lag * progress.timed.bounds.bound)[objective.columns]))
     progress = progress.moved_to(place, bounds.travel, hindered)
     may_follow = inside and tasks is None
     may_stop = may_follow and avoidance is not None and avoidance.still
@@ -816,7 +823,7 @@ def step_along(
         return CandidateStep(objective.displacement(x), progress, found)
     step = _bend_to_tasks(progress, dq, step_bounds, tasks)
     if tasks is not None and proposal.rest is not None:
-        most = np.abs(dq) + ARRIVED * objective.chain.units
+        most = np.abs(dq) + FOLLOWING.arrived * objective.chain.units
         if np.any((np.abs(step.dq) > most)[objective.columns]):
             shared = _share(proposal.rest, dq)
             step = _bend_to_tasks(progress, shared, step_bounds, tasks)
@@ -884,7 +891,7 @@ def _planned_errors(progress: PathProgress, place: float, count: int) -> Array:
     state = arm.chain_at(arm.integrate(path.start, path.smooth_offset(place)))
     rows = cast(LinearRows, progress.objective.task_rows(state, priority=True))
     off = rows.errors - straight
-    most = TASK_DEVIATION * float(np.linalg.norm(after - before))
+    most = FOLLOWING.task_deviation * float(np.linalg.norm(after - before))
     return straight + off * min(1.0, most / max(float(np.linalg.norm(off)), 1e-300))
 
 
@@ -934,15 +941,15 @@ def _next_on_path(
         # On so short a path each joint moves to the end on its own, as fast as it can stop there.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
-        place = 1.0 - (1.0 - here) * min(ahead / max(left, ARRIVED), 1.0)
+        place = 1.0 - (1.0 - here) * min(ahead / max(left, FOLLOWING.arrived), 1.0)
         return _Proposal(place, left, True, True, dq, rest)
     lag = path.smooth_offset(here) - offset
     if tasks is not None:
         lag = _admitted(progress, here, tasks, lag)
     braking = bounds.braking
-    if bounds.effort is not None and bounds.dt is not None and np.any(np.abs(lag) > ARRIVED):
+    if bounds.effort is not None and bounds.dt is not None and np.any(np.abs(lag) > FOLLOWING.arrived):
         torques = StepTorques(state.arm, bounds, state.raw_positions, None)
-        slowing = np.maximum(torques.slowing(state.raw_positions, lag) * np.abs(lag), ARRIVED)
+        slowing = np.maximum(torques.slowing(state.raw_positions, lag) * np.abs(lag), FOLLOWING.arrived)
         braking = slowing if bounds.brake is None else np.minimum(slowing, braking)
     dq = np.empty(state.arm.nv)
     place, hindered, inside = kernels.step_on_profile(
@@ -976,7 +983,7 @@ def _admitted(progress: PathProgress, place: float, tasks: LinearRows, motion: A
     matrix = tasks.matrix
     needed = tasks.errors - _planned_errors(progress, place, len(tasks.errors))
     missed = needed - matrix @ objective.normalize(motion)
-    damping = PRIORITY_DAMPING * mean_diagonal(objective, matrix)
+    damping = DESCENT.priority_damping * mean_diagonal(objective, matrix)
     change = matrix.T @ np.linalg.solve(damped_hessian(matrix.T, damping), missed)
     return motion + objective.displacement(change)
 
@@ -992,13 +999,18 @@ def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateSte
         found = reduce_errors(objective, bounds, damping)
         if found.x is not None:
             return CandidateStep(objective.displacement(found.x), progress, found)
-    for _ in range(MAX_ATTEMPTS if cost > (NEGLIGIBLE_ERROR * objective.arm.length) ** 2 else 0):
+    for _ in range(
+        FOLLOWING.attempts if cost > (FOLLOWING.negligible_error * objective.arm.length) ** 2 else 0
+    ):
         found = reduce_errors(objective, bounds, damping)
         x = None if found.x is None else correct_curvature(objective, bounds, found.x)
-        if x is not None and objective.cost(objective.state_after(state, x)) < (1.0 - CONVERGED) * cost:
-            less_damped = progress._replace(damping=max(damping * DECREASE, MIN_FACTOR))
+        if (
+            x is not None
+            and objective.cost(objective.state_after(state, x)) < (1.0 - DESCENT.converged) * cost
+        ):
+            less_damped = progress._replace(damping=max(damping * DESCENT.decrease, DESCENT.least_factor))
             return CandidateStep(objective.displacement(x), less_damped, found)
-        damping *= INCREASE
+        damping *= DESCENT.increase
     rest = np.clip(np.zeros(len(bounds.lower)), bounds.lower, bounds.upper)  # the arm may have to brake
     reason = ""
     if not np.any(rest):

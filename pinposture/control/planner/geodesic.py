@@ -21,7 +21,7 @@ from pinposture.control.limits import JointBounds, Limits, StepBox, require_limi
 from pinposture.control.planner.avoidance import Avoidance, ClearStep, ConstraintRows, Solution, solve
 from pinposture.control.planner.damped_least_squares import PlanningProblem, StepBounds, solve_posture
 from pinposture.control.planner.follow import (
-    MAX_DEVIATION,
+    FOLLOWING,
     CandidateStep,
     GeodesicMemory,
     Goal,
@@ -51,15 +51,25 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-MAX_IDLE_TRAVEL = 1.0
-MAX_PATH_ATTEMPTS = 3
-"""Joint travel without progress after which the path is replanned [rad], and the number of attempts."""
 
-TORQUE_ITERATIONS = 2
-"""How often a step within torque limits is computed, with velocities first as before it, then as in it."""
+class GeodesicSettings(NamedTuple):
+    """When a step looks for another path, and how steps within torque limits are found."""
 
-MIN_CLEARANCE_GAIN = 1e-4
-"""Gain in clearance of a step out of an obstacle below which a path is planned, in arm lengths."""
+    most_idle_travel: float = 1.0
+    """Joint travel without progress after which the path is replanned [rad]."""
+
+    path_attempts: int = 3
+    """Largest number of paths that are planned without progress between them."""
+
+    torque_iterations: int = 2
+    """How often a step within torque limits is computed, with velocities first as before it, then as in
+    it."""
+
+    least_clearance_gain: float = 1e-4
+    """Gain in clearance of a step out of an obstacle below which a path is planned, in arm lengths."""
+
+
+GEODESIC = GeodesicSettings()
 
 
 @dataclass(frozen=True)
@@ -181,7 +191,7 @@ class Geodesic:
         if progress is not None and not progress.matches(now.state):
             progress = None
         scheduled = progress is not None and progress.on_schedule
-        if progress is not None and scheduled and progress.idle_travel < MAX_IDLE_TRAVEL:
+        if progress is not None and scheduled and progress.idle_travel < GEODESIC.most_idle_travel:
             return _within(self._renewed(progress), now)
         alike = progress is not None and _are_alike(progress.objective.target, now.target)
         if progress is not None and alike and not progress.arrived and progress.objective.tasks != self.tasks:
@@ -213,12 +223,12 @@ class Geodesic:
             was_blocked = bool(progress.path.blocked_by)
             progress = progress.among(self.scene)
             cut = not (was_blocked or progress.arrived or self._is_clear_of_maps(now, progress))
-        if not cut and (progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived):
+        if not cut and (progress.idle_travel < GEODESIC.most_idle_travel or progress.arrived):
             return _within(progress, now)
         attempt = progress.path.attempt + 1
         if self.scene is not None and self.scene.moving:  # the path may be clear later
             attempt = 0
-        if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
+        if attempt >= GEODESIC.path_attempts or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
         problem = self._problem(progress.objective, now.state, now.bounds)
         rest = None if progress.path.blocked_by else _rest(progress, now.state)
@@ -259,7 +269,7 @@ class Geodesic:
         if progress is None or not (fast or is_small_change(progress.objective, objective)):
             path = self._find_path(problem)
             return PathProgress.begin(timed_again(path, limits, effort=effort))
-        idle = progress.idle_travel >= MAX_IDLE_TRAVEL
+        idle = progress.idle_travel >= GEODESIC.most_idle_travel
         place = np.inf if progress.arrived or progress.path.attempt or idle else progress.place
         former = progress.path
         if former.objective is not progress.objective:
@@ -446,7 +456,11 @@ class _Situation:
 
 def _continue_path(now: _Situation) -> Step | None:
     before = now.before
-    if before is None or before.timed.bounds is not now.bounds or before.idle_travel >= MAX_IDLE_TRAVEL:
+    if (
+        before is None
+        or before.timed.bounds is not now.bounds
+        or before.idle_travel >= GEODESIC.most_idle_travel
+    ):
         return None
     controller = now.controller
     scene = controller.scene
@@ -533,7 +547,7 @@ def _back_out(now: _Situation) -> Step | None:
     cleared = _smallest_step(avoidance, StepBounds.of(now.objective, state, now.box, avoidance))
     after = state.moved(cleared.dq)
     gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
-    if gained < MIN_CLEARANCE_GAIN * state.arm.length:
+    if gained < GEODESIC.least_clearance_gain * state.arm.length:
         return None
     violated = now.box.violated_constraints + cleared.violated_constraints
     violated += avoidance.describe_violations(state)
@@ -594,7 +608,7 @@ def _within_torques(
     gradient = -hessian @ objective.normalize(dq)
     closest = dq
     found = None
-    for _ in range(TORQUE_ITERATIONS):
+    for _ in range(GEODESIC.torque_iterations):
         matrix, least = torques.rows(closest)
         limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
         found = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows, hard=limits)
@@ -723,7 +737,7 @@ def _smallest_motion(avoidance: Avoidance, bounds: StepBounds) -> Array:
 def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
     """Whether joints are outside their limits at most as far as noise and disturbances take an arm."""
     positions = state.raw_positions
-    most = MAX_DEVIATION * state.arm.joint_units
+    most = FOLLOWING.most_deviation * state.arm.joint_units
     return bool(np.all((positions >= bounds.edges[0] - most) & (positions <= bounds.edges[1] + most)))
 
 

@@ -24,22 +24,29 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-PRIORITY_WEIGHT = 1e4
-"""Weight of the squared errors of tasks with priority in the cost. Steps give them strict priority."""
 
-MAX_JOINT_WEIGHT = 1e6
-"""Largest joint weight; numbers overflow beyond it, and paths are joint interpolation long before."""
+class ObjectiveSettings(NamedTuple):
+    """Weights in the objective, and when it counts as reached."""
 
-GOAL_TOLERANCE = 1e-8
-"""Mean distance of the control points from their targets at which a configuration takes the posture, in arm
-lengths; well below the default tolerance of runs, 1e-6."""
+    priority_weight: float = 1e4
+    """Weight of the squared errors of tasks with priority in the cost. Steps give them strict priority."""
 
-MAX_PULL = 1e-3
-"""Largest share of the gradient of the squared violations that the objective may balance, if the rows are
-infeasible."""
+    most_joint_weight: float = 1e6
+    """Largest joint weight; numbers overflow beyond it, and paths are joint interpolation long before."""
 
-VIOLATED = 1e-7
-"""Violation of a row of length 1 that exceeds rounding, in units of a joint."""
+    goal_tolerance: float = 1e-8
+    """Mean distance of the control points from their targets at which a configuration takes the
+    posture, in arm lengths; well below the default tolerance of runs, 1e-6."""
+
+    most_pull: float = 1e-3
+    """Largest share of the gradient of the squared violations that the objective may balance, if the
+    rows are infeasible."""
+
+    violated: float = 1e-7
+    """Violation of a row of length 1 that exceeds rounding, in units of a joint."""
+
+
+OBJECTIVE = ObjectiveSettings()
 
 
 class LinearRows(NamedTuple):
@@ -179,7 +186,9 @@ class Objective:
         """Whether the configuration of the target takes its points: it may miss them, or not be known."""
         if self.target.q is None:
             return False
-        return self.mean_error(ChainState(self.arm, self.target.q)) <= GOAL_TOLERANCE * self.arm.length
+        return (
+            self.mean_error(ChainState(self.arm, self.target.q)) <= OBJECTIVE.goal_tolerance * self.arm.length
+        )
 
     @cached_property
     def chain(self) -> ChainObjective:
@@ -241,12 +250,12 @@ class Objective:
         return errors, squares
 
     def cost(self, state: ChainState) -> float:
-        """Return half the sum of all squares [m^2], tasks with priority times `PRIORITY_WEIGHT`."""
+        """Return half the sum of all squares [m^2], tasks with priority times `OBJECTIVE.priority_weight`."""
         total = self.point_errors(state)[1]
         for priority in (False, True):
             rows = self.task_rows(state, priority)
             if rows is not None:
-                total += (PRIORITY_WEIGHT if priority else 1.0) * float(rows.errors @ rows.errors)
+                total += (OBJECTIVE.priority_weight if priority else 1.0) * float(rows.errors @ rows.errors)
         return 0.5 * total
 
     def mean_error(self, state: ChainState) -> float:
@@ -299,8 +308,8 @@ def check_objective(
     """Raise InvalidValue if a weight is out of range, or a task or constraint is invalid."""
     check_constraints(constraints)
     require_positive("joint_weight", joint_weight)
-    if joint_weight > MAX_JOINT_WEIGHT:
-        raise InvalidValue("joint_weight", joint_weight, f"at most {MAX_JOINT_WEIGHT:g}")
+    if joint_weight > OBJECTIVE.most_joint_weight:
+        raise InvalidValue("joint_weight", joint_weight, f"at most {OBJECTIVE.most_joint_weight:g}")
     require_positive("relative_position_weight", relative_position_weight, zero=True)
     require_instance("tasks", tasks, Iterable, "a sequence of EndEffector, Tangents or JointPosture")
     for task in tasks:
@@ -424,6 +433,6 @@ class ChainSolver:
         missing = np.maximum(least - matrix @ x, 0.0)
         push = missing @ matrix
         free = np.where(push > 0.0, x < upper, x > lower)
-        if np.linalg.norm(push[free]) > MAX_PULL * np.linalg.norm(push):
+        if np.linalg.norm(push[free]) > OBJECTIVE.most_pull * np.linalg.norm(push):
             return None
-        return ConstrainedStep(x, binding, bool(np.any(missing > VIOLATED)))
+        return ConstrainedStep(x, binding, bool(np.any(missing > OBJECTIVE.violated)))

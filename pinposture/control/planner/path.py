@@ -23,11 +23,55 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-MAX_STEP = 10.0
-"""Largest joint motion of a step without limits, in `Arm.joint_units`."""
 
-SHORT_MOTION = 0.1
-"""Joint motion up to which joint interpolation is direct enough, in `Arm.joint_units`."""
+class PathSettings(NamedTuple):
+    """How a path is sampled and timed."""
+
+    most_step: float = 10.0
+    """Largest joint motion of a step without limits, in `Arm.joint_units`."""
+
+    short_motion: float = 0.1
+    """Joint motion up to which joint interpolation is direct enough, in `Arm.joint_units`."""
+
+    speed_share: float = 0.98
+    """Share of the velocity limits that a profile uses; the rest is for corrections, and for
+    differences between steps and a continuous motion. With all of it two runs would be 2 % shorter."""
+
+    acceleration_share: float = 0.97
+    """The same of the acceleration limits."""
+
+    effort_share: float = 0.97
+    """The same of what holding the arm leaves of the torque limits. With 0.98 some steps of
+    `benchmarks.peers.durations` took 0.2 % more than the limit; motions were 0.3 % shorter in the
+    median. With a share of the whole torque limit they were 1.2 % longer, and up to 3 %, where holding
+    takes most of it."""
+
+    held_share: float = 0.98
+    """Share of a torque limit that holding the arm may take on a path with `retime(effort=True)`."""
+
+    sampled_turn: float = 3.0
+    """Joint motion between samples of torques, the sum over joints, in `Arm.joint_units`."""
+
+    least_samples: int = 8
+    """Least number of these samples on a path. All waypoints are samples, as the bends of a path may
+    change there. Of 120 paths of 40 and 100 joints no step takes over 0.1 % more torque than with four
+    times as many."""
+
+    least_parts: int = 128
+    """Smallest number of parts of a path with constant acceleration each. Half of it lengthened eight
+    runs of 40 joints by up to 1.1 %, twice of it shortened them by up to 0.5 %."""
+
+    finer_ends: tuple[int, ...] = (4, 2, 2)
+    """How many times as finely the outer pieces of a path with limits of torque are divided, from its
+    ends on: the arm is slow there, and torques per acceleration change within a part. Without, 20
+    motions of 100 joints took 0.9 % longer in the median, and up to 2 %; twice as fine ends would save
+    0.1 %, parts of half the length 0.5 % (`benchmarks.peers.durations`)."""
+
+    zero_slope: float = 1e-12
+    """Slope of a path that counts as zero, relative to the largest."""
+
+
+PATH = PathSettings()
 
 
 class PathStep(NamedTuple):
@@ -204,9 +248,9 @@ class JointPath:
 
         Such steps always reach the end. Let L = sum over remaining pieces of max_j |dq_j| / b_j be the length
         of the remaining path in steps of its slowest joints, where b_j is the largest step of joint j, at
-        most `MAX_STEP`. A step that does not reach the end has length b_j for some joint j, which travels no
-        farther than along the pieces that the step passes. So L decreases by at least 1, and ceil(L) steps
-        suffice.
+        most `PATH.most_step`. A step that does not reach the end has length b_j for some joint j, which
+        travels no farther than along the pieces that the step passes. So L decreases by at least 1, and
+        ceil(L) steps suffice.
 
         Args:
             state: the state of the arm.
@@ -223,7 +267,7 @@ class JointPath:
             self.objective.chain.units,
             place,
             sides,
-            MAX_STEP,
+            PATH.most_step,
             dq,
         )
         return PathStep(reached, left, inside, dq)
@@ -241,36 +285,6 @@ class JointPath:
 # as much as those allow (as in TOPP-RA). Steps are means of the speed, so limits that hold at all times hold
 # for steps.
 
-SPEED_SHARE = 0.98
-ACCELERATION_SHARE = 0.97
-EFFORT_SHARE = 0.97
-"""Shares of the limits of velocity and acceleration, and of what holding the arm leaves of the limits of
-torque, that the profile uses; the rest is for corrections, and for differences between steps and a continuous
-motion. Without the first two runs would be 2 % shorter. With 0.98 of the torque some steps of
-`benchmarks.peers.durations` took 0.2 % more than the limit; motions were 0.3 % shorter in the median. With a
-share of the whole torque limit they were 1.2 % longer, and up to 3 %, where holding takes most of it."""
-
-HELD_SHARE = 0.98
-"""Share of a torque limit that holding the arm may take on a path with `retime(effort=True)`."""
-
-SAMPLED_TURN = 3.0
-LEAST_SAMPLES = 8
-"""Joint motion between samples of torques, the sum over joints, in `Arm.joint_units`, and the least number of
-them on a path. All waypoints are samples, as the bends of a path may change there. Of 120 paths of 40 and 100
-joints no step takes over 0.1 % more torque than with four times as many."""
-
-LEAST_PARTS = 128
-"""Smallest number of parts of a path with constant acceleration each. Half of it lengthened eight runs of 40
-joints by up to 1.1 %, twice of it shortened them by up to 0.5 %."""
-
-FINER_ENDS = (4, 2, 2)
-"""How many times as finely the outer pieces of a path with limits of torque are divided, from its ends on:
-the arm is slow there, and torques per acceleration change within a part. Without, 20 motions of 100 joints
-took 0.9 % longer in the median, and up to 2 %; twice as fine ends would save 0.1 %, parts of half the length
-0.5 % (`benchmarks.peers.durations`)."""
-
-ZERO_SLOPE = 1e-12
-"""Slope of a path that counts as zero, relative to the largest."""
 
 NO_PROFILE = TimedPathArrays(
     offsets=np.empty((0, 0)),
@@ -280,7 +294,7 @@ NO_PROFILE = TimedPathArrays(
     rows=ProfileRows(np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty(0)),
     parts=PathParts(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)),
     most=inf,
-    small=ZERO_SLOPE,
+    small=PATH.zero_slope,
 )
 """Arrays of a path without a speed profile, but for the path."""
 
@@ -316,8 +330,8 @@ class SpeedProfile:
         self._waypoints = len(path.offsets) - 1
         rates = np.full(self._waypoints, max_rate, dtype=np.float64)
         self.most = float(rates.max())
-        brake = np.full(n, np.inf) if bounds.brake is None else ACCELERATION_SHARE * bounds.brake
-        counts = np.full(self._waypoints, -(-LEAST_PARTS // self._waypoints))
+        brake = np.full(n, np.inf) if bounds.brake is None else PATH.acceleration_share * bounds.brake
+        counts = np.full(self._waypoints, -(-PATH.least_parts // self._waypoints))
         if effort is not None:
             _divide_ends(counts)
         self.parts = PathParts(
@@ -333,10 +347,10 @@ class SpeedProfile:
         kernels.find_speed_profile(
             path.offsets,
             path.slopes,
-            SPEED_SHARE * np.array(bounds.bound),
+            PATH.speed_share * np.array(bounds.bound),
             initial_speed,
             rates,
-            ZERO_SLOPE,
+            PATH.zero_slope,
             self.parts,
             self.rows,
             self.top,
@@ -354,7 +368,7 @@ class SpeedProfile:
         return kernels.next_path_speed(
             place,
             speed,
-            ZERO_SLOPE,
+            PATH.zero_slope,
             self.most,
             self.parts,
             self.rows,
@@ -364,8 +378,8 @@ class SpeedProfile:
 
 def _divide_ends(counts: NDArray[np.intp]) -> None:
     """Divide the outer pieces of a path into more parts, (N,)."""
-    outer = min(len(FINER_ENDS), len(counts))
-    finer = np.array(FINER_ENDS[:outer])
+    outer = min(len(PATH.finer_ends), len(counts))
+    finer = np.array(PATH.finer_ends[:outer])
     most = int(counts[0])
     counts[:outer] = most * finer
     counts[::-1][:outer] = np.maximum(counts[::-1][:outer], most * finer)
@@ -378,8 +392,8 @@ def torque_rows(
 
     On the path, torques are M q' u + (M q'' + C q') x + g, with the mass matrix M, the Coriolis matrix C at
     the joint velocity q', and gravity g. They are sampled at waypoints, and where joints have moved by
-    at most `SAMPLED_TURN` in all, and cubic in between. Dry friction, and viscous friction at the velocity
-    limit, count as if they always opposed the motors.
+    at most `PATH.sampled_turn` in all, and cubic in between. Dry friction, and viscous friction at the
+    velocity limit, count as if they always opposed the motors.
 
     Args:
         path: the path.
@@ -400,12 +414,12 @@ def torque_rows(
     moved = np.abs(np.diff(path.offsets, axis=0))
     pieces = len(moved)
     turns = (moved / arm.joint_units).sum(axis=1).max()
-    sections = max(int(np.ceil(turns / SAMPLED_TURN)), 1)
-    sampled = max(pieces * sections, LEAST_SAMPLES)
+    sections = max(int(np.ceil(turns / PATH.sampled_turn)), 1)
+    sampled = max(pieces * sections, PATH.least_samples)
     samples = arm.dynamics.path_torques(path.positions, path.offsets, path.slopes, samples=sampled + 1, dt=dt)
     limit = effort - _friction(arm, bounds)
     if strict:
-        _require_holdable(arm, np.abs(samples.c).max(axis=0), HELD_SHARE * limit)
+        _require_holdable(arm, np.abs(samples.c).max(axis=0), PATH.held_share * limit)
     least = int(limit.argmin())
     if limit[least] <= 0.0:
         allowed = f"more than the friction of joint {arm.joint_names[least]!r} takes"
@@ -416,7 +430,7 @@ def torque_rows(
     # In one block: several would be given back to the system, and cleared by it for the next path.
     a, b, c = np.empty((3, *shape))
     rows = ProfileRows(a, b, c, limit=np.append(brake, largest * limit))
-    kernels.fill_torque_rows(samples, parts, largest, EFFORT_SHARE, rows, arm.nv)
+    kernels.fill_torque_rows(samples, parts, largest, PATH.effort_share, rows, arm.nv)
     return rows
 
 
@@ -437,7 +451,7 @@ def _require_holdable(arm: Arm, held: Array, limit: Array) -> None:
     if share[joint] >= 1.0:
         load = load_of(arm.drives[joint], float(held[joint]), float(limit[joint]))
         allowed = (
-            f"{100.0 * HELD_SHARE:g} % of each torque limit, less friction; plan another path, or raise "
+            f"{100.0 * PATH.held_share:g} % of each torque limit, less friction; plan another path, or raise "
             "the limits with arm.with_effort(...)"
         )
         raise InvalidValue("holding the arm on the path", str(load), allowed)
@@ -480,7 +494,7 @@ class TimedPath:
             rows=profile.rows,
             parts=profile.parts,
             most=profile.most,
-            small=ZERO_SLOPE,
+            small=PATH.zero_slope,
         )
 
     @cached_property
@@ -508,14 +522,14 @@ class TimedPath:
         end = self.path.end
         profile = self.profile
         if profile is None:
-            bound = np.minimum(self.bounds.bound, MAX_STEP * self.path.arm.joint_units)
+            bound = np.minimum(self.bounds.bound, PATH.most_step * self.path.arm.joint_units)
             pieces = np.abs(np.diff(self.path.offsets, axis=0)) / bound
             passed = np.concatenate([[0.0], np.cumsum(pieces.max(axis=1))])
             steps = np.append(np.arange(0.0, passed[-1]), passed[-1])
             return np.asarray(np.interp(steps, passed, np.arange(end + 1.0)))
         places = [0.0]
         speed = 0.0
-        while places[-1] < end * (1.0 - ZERO_SLOPE):
+        while places[-1] < end * (1.0 - PATH.zero_slope):
             speed = min(profile.next(places[-1], speed), end - places[-1])
             if speed <= 0.0:
                 break

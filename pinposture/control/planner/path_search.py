@@ -30,71 +30,110 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-WITHDRAWAL_STEP = 0.02
-NEAR_SHARE = 0.3
-"""Length of a withdrawal step, and of the part of the arm that takes up the slack, in arm lengths. Half the
-step takes longer; with twice the part, 2 of 20 problems of clutter had no solution."""
 
-WITHDRAWAL_ERROR = 0.002
-"""Mean distance from the curve at which a withdrawal step is accepted, in arm lengths."""
+class WithdrawalSettings(NamedTuple):
+    """How an arm is drawn back out of an opening along itself."""
 
-MAX_FIT_STEPS = 12
-"""Largest number of iterations of the fit of a withdrawal step, which begins where the last one ended."""
+    step: float = 0.02
+    """Length of a withdrawal step, in arm lengths. Half of it takes longer."""
 
-MAX_FAILURES = 3
-"""Number of consecutive failed steps that ends a withdrawal."""
+    near_share: float = 0.3
+    """Length of the part of the arm that takes up the slack, in arm lengths. With twice as much, 2 of
+    20 problems of clutter had no solution."""
 
-JOIN_EVERY = 0.2
-"""Depth of withdrawal between attempts to join the ends, in arm lengths."""
+    most_error: float = 0.002
+    """Mean distance from the curve at which a withdrawal step is accepted, in arm lengths."""
 
-JOIN_NODES = 150
-SEARCH_NODES = 2000
-"""Largest number of tree nodes of an attempt to join the ends, and of the last one."""
+    fit_steps: int = 12
+    """Largest number of iterations of the fit of a withdrawal step, which begins where the last one
+    ended."""
 
-SAMPLED = 16
-"""Number of samples that are drawn at once."""
+    failures: int = 3
+    """Number of consecutive failed steps that ends a withdrawal."""
 
-TRAPPED_SHARE = 0.125
-PATIENT_TURNS = 16
-"""Share of its turns in which a tree grows, below which its root counts as trapped, which ends an attempt to
-join with `JOIN_NODES`; and the number of turns of both trees before that. With a like rule for the last
-attempt, one of ten pipes had no solution."""
+    join_every: float = 0.2
+    """Depth of withdrawal between attempts to join the ends, in arm lengths."""
 
-REJOINED_FROM = (0.0, 0.05)
-"""How far before and behind what is in the way of a path a tree search joins it again, in shares of the path.
-Of 24 paths that a ball cut, the search joined eight with the first, four more with the second, and none more
-with 0.15 and 0.4; the others needed a withdrawal (`benchmarks.studies.repair`)."""
 
-TREE_STEP = 0.3
-PIECE_TURN = 0.1
-"""Largest joint motion of an edge of the trees, and of a piece of the path when it is shortened, in
-`Arm.joint_units`."""
+WITHDRAWING = WithdrawalSettings()
 
-UNIFORM_SHARE = 0.5
-MAX_AMPLITUDE = 1.5
-NOISE = 0.3
-"""Samples of the tree search: the share that is uniform within limits; for the others, the largest amplitude
-of smooth random configurations, and the noise about the line between both ends."""
 
-MAX_TURN = np.pi
-"""Largest motion of a joint from the start in a sample, in `Arm.joint_units`."""
+class TreeSearchSettings(NamedTuple):
+    """How trees grow from both ends of a path until they meet."""
 
-FEW_JOINTS = 40
-"""Number of joints up to which the joint motions above apply; with more, they decrease in proportion, so that
-the whole arm bends equally far."""
+    join_nodes: int = 150
+    """Largest number of tree nodes of an attempt to join the ends of a withdrawal."""
 
-SHORTCUTS = 60
-"""Number of attempted shortcuts."""
+    nodes: int = 2000
+    """Largest number of tree nodes of the last attempt."""
 
-EVEN_PIECE = 0.04
-EVEN_PIECES = (64, 384)
-ROUNDINGS = 12
-MAX_ROUNDING_HALVINGS = 4
-ROUNDED_AROUND = 4
-"""Joint motion of a piece of a rejoined path, in `Arm.joint_units`, and the least and largest number of them;
-how often each waypoint is moved towards the middle of its neighbours; how often that is halved where the
-curve is not clear; and for how many waypoints on each side. `make study STUDY=repair` tells whether the curve
-is clear, and how long the paths are."""
+    sampled: int = 16
+    """Number of samples that are drawn at once."""
+
+    trapped_share: float = 0.125
+    """Share of its turns in which a tree grows, below which its root counts as trapped, which ends an
+    attempt to join with `join_nodes`. With a like rule for the last attempt, one of ten pipes had no
+    solution."""
+
+    patient_turns: int = 16
+    """Number of turns of both trees before a root counts as trapped."""
+
+    step: float = 0.3
+    """Largest joint motion of an edge of the trees, in `Arm.joint_units`."""
+
+    uniform_share: float = 0.5
+    """Share of the samples that is uniform within limits."""
+
+    most_amplitude: float = 1.5
+    """Largest amplitude of the smooth random configurations among the other samples."""
+
+    noise: float = 0.3
+    """Noise of the others about the line between both ends."""
+
+    most_turn: float = np.pi
+    """Largest motion of a joint from the start in a sample, in `Arm.joint_units`."""
+
+    few_joints: int = 40
+    """Number of joints up to which the joint motions above apply; with more, they decrease in
+    proportion, so that the whole arm bends equally far."""
+
+
+TREES = TreeSearchSettings()
+
+
+class ShorteningSettings(NamedTuple):
+    """How a path that was searched is made shorter and round."""
+
+    piece: float = 0.1
+    """Largest joint motion of a piece of a path when it is shortened, in `Arm.joint_units`."""
+
+    shortcuts: int = 60
+    """Number of attempted shortcuts."""
+
+    even_piece: float = 0.04
+    """Joint motion of a piece of a rejoined path, in `Arm.joint_units`."""
+
+    even_pieces: tuple[int, int] = (64, 384)
+    """Least and largest number of these pieces."""
+
+    roundings: int = 12
+    """How often each waypoint of a rejoined path is moved towards the middle of its neighbours."""
+
+    rounding_halvings: int = 4
+    """How often that is halved where the curve is not clear."""
+
+    rounded_around: int = 4
+    """For how many waypoints on each side it is halved. `make study STUDY=repair` tells whether the
+    curve is clear, and how long the paths are."""
+
+    rejoined_from: tuple[float, ...] = (0.0, 0.05)
+    """How far before and behind what is in the way of a path a tree search joins it again, in shares of
+    the path. Of 24 paths that a ball cut, the search joined eight with the first, four more with the
+    second, and none more with 0.15 and 0.4; the others needed a withdrawal
+    (`benchmarks.studies.repair`)."""
+
+
+SHORTENING = ShorteningSettings()
 
 
 RELAXATION = "relaxation"
@@ -145,14 +184,14 @@ class PathSearch:
         self._rng = np.random.default_rng(seed)
         size = self.arm.length
         self._settings = TreeSettings(
-            TREE_STEP, least, MOTION_TOLERANCE * size, OPEN_MOTION * size, self.avoidance.constrained
+            TREES.step, least, MOTION_TOLERANCE * size, OPEN_MOTION * size, self.avoidance.constrained
         )
         self._trapped = np.zeros(2, dtype=np.bool_)
-        self._share = min(1.0, FEW_JOINTS / len(objective.columns))
+        self._share = min(1.0, TREES.few_joints / len(objective.columns))
         self._units = self._share * self.arm.joint_units
         self._positions = self.arm.positions(self._start.q)
         lowest, highest = edges - self._positions
-        farthest = MAX_TURN * self._units * self.arm.moved
+        farthest = TREES.most_turn * self._units * self.arm.moved
         self._sides = (
             np.maximum(np.minimum(lowest, 0.0), -farthest),
             np.minimum(np.maximum(highest, 0.0), farthest),
@@ -161,7 +200,7 @@ class PathSearch:
     def connect(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
         """Return a path that a short tree search between the ends finds, as found; None if there is none."""
         tell("tree search")
-        joined = self._connect(np.zeros(self.arm.nv), self._end, JOIN_NODES)
+        joined = self._connect(np.zeros(self.arm.nv), self._end, TREES.join_nodes)
         return None if joined is None else FoundPath(joined, TREE_SEARCH)
 
     def path(self, found: FoundPath) -> JointPath:
@@ -190,11 +229,11 @@ class PathSearch:
         last = len(path) - 1
         begin = self._clear_pieces(path)
         end = last - self._clear_pieces(path[::-1])
-        for share in REJOINED_FROM:
+        for share in SHORTENING.rejoined_from:
             apart = int(share * last)
             first = max(begin - apart, 0)
             second = min(end + apart, last)
-            joined = self._connect(path[first], path[second], JOIN_NODES)
+            joined = self._connect(path[first], path[second], TREES.join_nodes)
             if joined is not None:
                 part = self.shorten(FoundPath(joined, TREE_SEARCH)).offsets
                 whole = np.concatenate([path[:first], part, path[second + 1 :]])
@@ -212,7 +251,7 @@ class PathSearch:
         """
         lengths = np.abs(np.diff(path, axis=0) / self._units).max(axis=1)
         places = np.append(0.0, np.cumsum(lengths))
-        count = int(np.clip(np.ceil(places[-1] / EVEN_PIECE), *EVEN_PIECES))
+        count = int(np.clip(np.ceil(places[-1] / SHORTENING.even_piece), *SHORTENING.even_pieces))
         for finer in (1, 2, 4):
             wanted = np.linspace(0.0, places[-1], finer * count + 1)
             even = np.column_stack([np.interp(wanted, places, joint) for joint in path.T])
@@ -224,11 +263,11 @@ class PathSearch:
     def _rounded(self, even: Array) -> Array | None:
         """Return a path of even pieces with rounded corners; None if it or the curve is not clear."""
         smooth = even.copy()
-        for _ in range(ROUNDINGS):
+        for _ in range(SHORTENING.roundings):
             smooth[1:-1] = 0.25 * smooth[:-2] + 0.5 * smooth[1:-1] + 0.25 * smooth[2:]
         places = np.arange(0.0, len(even) - 0.5, 0.5)
         share = np.ones((len(even), 1))
-        for _ in range(MAX_ROUNDING_HALVINGS):
+        for _ in range(SHORTENING.rounding_halvings):
             path = even + share * (smooth - even)
             curve = JointPath(self.problem.objective, self._start.q, path)
             close = self._close_pieces(curve.smooth_offset(places))
@@ -236,7 +275,9 @@ class PathSearch:
                 return path if self.is_clear(path) else None
             for piece in close:
                 waypoint = piece // 2
-                share[max(waypoint - ROUNDED_AROUND, 0) : waypoint + ROUNDED_AROUND + 2] *= 0.5
+                share[
+                    max(waypoint - SHORTENING.rounded_around, 0) : waypoint + SHORTENING.rounded_around + 2
+                ] *= 0.5
         return None
 
     def _close_pieces(self, path: Array, begin: int = 0) -> list[int]:
@@ -267,14 +308,14 @@ class PathSearch:
     def withdraw(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
         """Return a path between ends that are withdrawn until they can be joined; None if that fails."""
         ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, self._end)]
-        nodes = JOIN_NODES
+        nodes = TREES.join_nodes
         while perf_counter() < self.until:
             trapped = [each for each, is_trapped in zip(ends, self._trapped, strict=True) if is_trapped]
-            moved = any([each.go_on(JOIN_EVERY) for each in trapped])
-            if not moved and not any([each.go_on(JOIN_EVERY) for each in ends]):
-                if nodes == SEARCH_NODES:
+            moved = any([each.go_on(WITHDRAWING.join_every) for each in trapped])
+            if not moved and not any([each.go_on(WITHDRAWING.join_every) for each in ends]):
+                if nodes == TREES.nodes:
                     break
-                nodes = SEARCH_NODES  # neither end can withdraw further: search longer
+                nodes = TREES.nodes  # neither end can withdraw further: search longer
             depths = " and ".join(f"{100.0 * each.depth:.0f} %" for each in ends)
             tell(f"tree search after withdrawing start and goal by {depths} of the arm length")
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)
@@ -299,11 +340,11 @@ class PathSearch:
             turns += used
             samples = samples[used:]
             if outcome == ENDED:
-                self._trapped = trees.counts - 1 < TRAPPED_SHARE * 0.5 * turns
-                hopeless = nodes == JOIN_NODES and turns >= PATIENT_TURNS and self.is_trapped
+                self._trapped = trees.counts - 1 < TREES.trapped_share * 0.5 * turns
+                hopeless = nodes == TREES.join_nodes and turns >= TREES.patient_turns and self.is_trapped
                 if hopeless or len(samples) or turns >= nodes:
                     return None
-                samples = self._samples(one, other, min(SAMPLED, nodes - turns))
+                samples = self._samples(one, other, min(TREES.sampled, nodes - turns))
             refused = outcome == OPEN and not self.is_clear(_last_edge(trees))
             if outcome == JOINED:
                 return _joined(trees)
@@ -315,17 +356,17 @@ class PathSearch:
         rng = self._rng
         kinds = rng.random(count)
         found = rng.uniform(*self._sides, size=(count, arm.nv))
-        is_smooth = (kinds >= UNIFORM_SHARE) & (kinds < 0.5 * (1.0 + UNIFORM_SHARE))
+        is_smooth = (kinds >= TREES.uniform_share) & (kinds < 0.5 * (1.0 + TREES.uniform_share))
         smooth = int(is_smooth.sum())
         places = max(len(joints) for joints in arm.module_joints)
         sizes = rng.normal(size=(smooth, places, 3))
         phases = rng.uniform(0.0, 2.0 * np.pi, sizes.shape)
-        amplitudes = self._share * rng.uniform(0.1, MAX_AMPLITUDE, smooth)
+        amplitudes = self._share * rng.uniform(0.1, TREES.most_amplitude, smooth)
         found[is_smooth] = smooth_positions(arm, sizes, phases, amplitudes) - self._positions
-        is_near = kinds >= 0.5 * (1.0 + UNIFORM_SHARE)
+        is_near = kinds >= 0.5 * (1.0 + TREES.uniform_share)
         near = int(is_near.sum())
         places_between = rng.uniform(-0.2, 1.2, (near, 1))
-        noise = self._share * NOISE * rng.normal(size=(near, arm.nv)) * arm.joint_units * arm.moved
+        noise = self._share * TREES.noise * rng.normal(size=(near, arm.nv)) * arm.joint_units * arm.moved
         found[is_near] = one + places_between * (other - one) + noise
         return np.asarray(np.clip(found, *self._sides))
 
@@ -335,7 +376,7 @@ class PathSearch:
         """Straighten parts of a path where that is clear and shorter, for all or some consecutive joints."""
         path = divide(found.offsets, self._units)
         columns = self.problem.objective.columns
-        for number in range(SHORTCUTS):
+        for number in range(SHORTENING.shortcuts):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
             if j - i < 2:
                 continue
@@ -357,11 +398,11 @@ class PathSearch:
 
 
 def divide(path: Array, units: Array) -> Array:
-    """Return a path, (N + 1, nv), with pieces longer than `PIECE_TURN` in units of motion (nv,) divided."""
+    """Return a path (N + 1, nv) with pieces longer than `SHORTENING.piece` in units (nv,) divided."""
     parts = [path[:1]]
     for start, end in pairwise(path):
         size = float(np.abs((end - start) / units).max())
-        count = max(int(np.ceil(size / PIECE_TURN)), 1)
+        count = max(int(np.ceil(size / SHORTENING.piece)), 1)
         parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
     return np.concatenate(parts)
 
@@ -415,7 +456,7 @@ class _Withdrawal:
         self._curve = np.vstack([search.arm.chain.base, self._state.placements.points])
         lengths = np.linalg.norm(np.diff(self._curve, axis=0), axis=1)
         self._places = np.concatenate([[0.0], np.cumsum(lengths)])
-        self._near = NEAR_SHARE * self._places[-1]
+        self._near = WITHDRAWING.near_share * self._places[-1]
         self._depth = 0.0
         self._over = False
 
@@ -429,16 +470,16 @@ class _Withdrawal:
         failures = 0
         begun = len(self.offsets)
         goal = self._depth + distance * self._places[-1]
-        step = WITHDRAWAL_STEP * self._places[-1]
+        step = WITHDRAWING.step * self._places[-1]
         while not self._over and self._depth < goal:
             if self._withdraw_to(self._depth + step):
                 self._depth = self._depth + step
                 failures = 0
-                step = WITHDRAWAL_STEP * self._places[-1]
+                step = WITHDRAWING.step * self._places[-1]
             else:
                 failures = failures + 1
                 step = 0.5 * step
-                self._over = failures >= MAX_FAILURES
+                self._over = failures >= WITHDRAWING.failures
         return len(self.offsets) > begun
 
     def _withdraw_to(self, depth: float) -> bool:
@@ -458,9 +499,9 @@ class _Withdrawal:
     def _fit(self, objective: Objective, avoidance: Avoidance | None) -> bool:
         """Move to the points of an objective, if that is clear; return whether it was."""
         search = self._search
-        good = WITHDRAWAL_ERROR * search.arm.length
+        good = WITHDRAWING.most_error * search.arm.length
         problem = search.problem._replace(objective=objective, avoidance=avoidance)
-        found = minimize(problem, self._state, good, steps=MAX_FIT_STEPS)
+        found = minimize(problem, self._state, good, steps=WITHDRAWING.fit_steps)
         if found.mean_error > good:
             return False
         offset = self.offsets[-1] + search.arm.difference(self._state.q, found.state.q)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from math import inf
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +23,12 @@ from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import (
-    MAX_QUICK_STEPS,
+    DESCENT,
     LeastSquaresResult,
     PlanningProblem,
     minimize,
 )
-from pinposture.control.planner.objective import (
-    GOAL_TOLERANCE,
-    PRIORITY_WEIGHT,
-    LinearRows,
-    Objective,
-    check_objective,
-)
+from pinposture.control.planner.objective import OBJECTIVE, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import RELAXATION, FoundPath, PathSearch
 from pinposture.control.planner.trajectory_optimization import (
@@ -69,55 +64,72 @@ class PlanNeeded(Exception):
 Report = Callable[[str, JointPath | None], None]
 """Called with the next attempt and the shortest clear path so far."""
 
-TURN_ROUNDING = 1e-9
-"""Joint displacement that is due to rounding [rad or m]."""
 
-RANDOM_STARTS = 6
-RANDOM_SPREAD = 0.5
-"""Number of random starts if no configuration is known, and their spread, in `Arm.joint_units`."""
+class PlanSettings(NamedTuple):
+    """How many goals and paths a plan compares, and which it prefers."""
 
-MAX_AGREEING = 3
-SAME_COST = 1e-3
-"""Number of consecutive searches that must agree to skip the rest, and their relative difference in cost."""
+    turn_rounding: float = 1e-9
+    """Joint displacement that is due to rounding [rad or m]."""
 
-MUCH_BETTER = 0.5
-"""Share of the cost of an earlier goal below which a later one is preferred, if a task holds the arm."""
+    random_starts: int = 6
+    """Number of random starts of the search for a goal if no configuration is known."""
 
-TASK_ROOT = 0.4
-CLEARANCE_ROOTS = (33.0, 10.0)
-"""Roots of the weights of tasks and of clearances on the path, relative to the motion of control points.
-Attempts alternate between a large and a small weight of clearance, which lead to different paths."""
+    random_spread: float = 0.5
+    """Spread of these starts, in `Arm.joint_units`."""
 
-SMALL_CHANGE = 0.3
-"""Mean motion of the points of a target that counts as a small change, in module lengths."""
+    agreeing: int = 3
+    """Number of consecutive searches that must agree to skip the rest."""
 
-NOISE_FACTOR = 2.0
-"""Factor by which the error of a goal may exceed the expected one, for noisy targets."""
+    same_cost: float = 1e-3
+    """Relative difference of the costs of searches that agree."""
 
-MAX_BEND = 0.5
-"""Largest total displacement of the end of a path, relative to the remaining motion."""
+    much_better: float = 0.5
+    """Share of the cost of an earlier goal below which a later one is preferred, if a task holds the
+    arm."""
 
-MIN_PLANNED_MOTION = 0.1
-"""Joint motion up to which no path around obstacles or along tasks is planned, in `Arm.joint_units`."""
+    task_root: float = 0.4
+    """Root of the weight of tasks on the path, relative to the motion of control points."""
 
-MAX_SHORT_MOTION = 40.0
-"""Joint motion times the number of joints up to which the most direct path is found within a cycle, in
-`Arm.joint_units`: in about a millisecond."""
+    clearance_roots: tuple[float, ...] = (33.0, 10.0)
+    """The same of clearances. Attempts alternate between a large and a small weight, which lead to
+    different paths."""
 
-MIN_SHORTENED = 1.2
-"""Length left on a path, relative to that of straight joint motion, above which a shortcut is sought."""
+    small_change: float = 0.3
+    """Mean motion of the points of a target that counts as a small change, in module lengths."""
 
-MAX_PATHS = 12
-"""Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
+    noise_factor: float = 2.0
+    """Factor by which the error of a goal may exceed the expected one, for noisy targets."""
 
-MAX_HOPELESS_PATHS = 4
-"""The same if the search has ended without a path."""
+    most_bend: float = 0.5
+    """Largest total displacement of the end of a path, relative to the remaining motion."""
 
-MAX_DETOUR = 2.0
-"""Length of a clear path, relative to the most direct one, above which the search looks for a shorter one."""
+    least_planned_motion: float = 0.1
+    """Joint motion up to which no path around obstacles or along tasks is planned, in
+    `Arm.joint_units`."""
 
-SEARCHED_ROOT = 10.0
-"""Root of the weight of clearance on searched paths."""
+    most_short_motion: float = 40.0
+    """Joint motion times the number of joints up to which the most direct path is found within a cycle,
+    in `Arm.joint_units`: in about a millisecond."""
+
+    least_shortened: float = 1.2
+    """Length left on a path, relative to that of straight joint motion, above which a shortcut is
+    sought."""
+
+    paths: int = 12
+    """Largest number of relaxed paths among which a clear one is searched; fewer in later attempts."""
+
+    hopeless_paths: int = 4
+    """The same if the search has ended without a path."""
+
+    most_detour: float = 2.0
+    """Length of a clear path, relative to the most direct one, above which the search looks for a
+    shorter one."""
+
+    searched_root: float = 10.0
+    """Root of the weight of clearance on searched paths."""
+
+
+PLAN = PlanSettings()
 
 
 def plan(
@@ -200,7 +212,7 @@ def plan(
     end = path.configuration(path.end)
     goal = state.arm.chain_at(end) if given is None else given
     if torques is not None and (
-        given is None or np.abs(state.arm.difference(given.q, end)).max() > TURN_ROUNDING
+        given is None or np.abs(state.arm.difference(given.q, end)).max() > PLAN.turn_rounding
     ):
         torques.require_held(state.arm.chain_at(end), "the goal")
     words = [path.blocked_by] if path.blocked_by else []
@@ -227,7 +239,7 @@ def find_path(
         goal: the state at the goal; None: it is searched.
     """
     objective, state, edges, avoidance = problem
-    good = GOAL_TOLERANCE * objective.arm.length
+    good = OBJECTIVE.goal_tolerance * objective.arm.length
     unhindered = problem._replace(avoidance=None)
     if avoidance is None or avoidance.only_torques:
         # The usual goal, if the motors hold the arm there.
@@ -295,13 +307,13 @@ def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> Join
         if goal is None or not (avoidance is None or avoidance.allows(goal)):
             return None
     motion = _size(objective, objective.arm.difference(state.q, goal.q))
-    if motion * len(objective.columns) > MAX_SHORT_MOTION:
+    if motion * len(objective.columns) > PLAN.most_short_motion:
         return None
     path = direct_path(objective, state.q, goal.q, edges)
     path = replace(path, task_errors=_task_errors(objective, state, goal))
     if avoidance is None:
         return path
-    if motion > MIN_PLANNED_MOTION:
+    if motion > PLAN.least_planned_motion:
         possible = _possible_clearance(avoidance, state, goal)
         if not _is_clear(path, avoidance.tolerating(state, goal), possible):
             return None
@@ -330,11 +342,11 @@ def shortcut(
     goal = path.configuration(path.end)
     arm = state.arm
     change = objective.normalize(arm.difference(state.q, goal))
-    if prompt and np.abs(change).max(initial=0.0) * len(change) > MAX_SHORT_MOTION:
+    if prompt and np.abs(change).max(initial=0.0) * len(change) > PLAN.most_short_motion:
         return None
     straight = np.stack([np.zeros(arm.nv), objective.displacement(change)])
     left = path.length - np.interp(place, np.arange(len(path.lengths)), path.lengths)
-    if left <= MIN_SHORTENED * objective.measure_pieces(state.positions, straight).sum():
+    if left <= PLAN.least_shortened * objective.measure_pieces(state.positions, straight).sum():
         return None
     if np.any(avoidance.near(state).rates < 0.0):  # an obstacle still approaches
         return None
@@ -410,14 +422,14 @@ def find_goal(
     has_priority = any(task.priority for task in objective.tasks)
     # If a task with priority holds the arm, a distant goal may not be reachable: prefer one nearby.
     held = _is_held(objective, state)
-    better = MUCH_BETTER if held else 1.0
+    better = PLAN.much_better if held else 1.0
     # An arm that violates the margin at the start may do so at the goal by as much.
     allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(problem, held, before)
     best = found = minimize(problem, next(starts), good, allowed)
     wanted = max(good, enough)
     agreeing = 1
-    while agreeing < MAX_AGREEING and not (
+    while agreeing < PLAN.agreeing and not (
         found.intrusion == 0.0 and (_is_good_enough(objective, found, wanted) or (known and not has_priority))
     ):
         if prompt:
@@ -427,7 +439,7 @@ def find_goal(
             break
         found = minimize(problem, start, good, allowed)
         alike = found.intrusion == best.intrusion == 0.0 and not objective.tasks
-        agreeing = agreeing + 1 if alike and abs(found.cost - best.cost) <= SAME_COST * best.cost else 1
+        agreeing = agreeing + 1 if alike and abs(found.cost - best.cost) <= PLAN.same_cost * best.cost else 1
         if (found.intrusion, found.cost) < (best.intrusion, better * best.cost):
             best = found
     return best
@@ -464,9 +476,9 @@ def _starts(problem: PlanningProblem, held: bool, before: ChainState | None) -> 
         for positions in initial_guesses(arm, target, arm.positions(state.q)):
             yield _within_limits(problem, arm.configuration(positions))
     rng = np.random.default_rng(0)
-    for number in range(RANDOM_STARTS):
+    for number in range(PLAN.random_starts):
         origin = arm.straight() if number % 2 else state.q
-        change = objective.displacement(RANDOM_SPREAD * rng.normal(size=len(objective.columns)))
+        change = objective.displacement(PLAN.random_spread * rng.normal(size=len(objective.columns)))
         yield _within_limits(problem, arm.integrate(origin, change))
 
 
@@ -535,7 +547,7 @@ class _Candidates:
         self._report = report
         objective, state, edges, _ = search.problem
         self._most_direct = direct_path(objective, state.q, search.goal.q, edges)
-        self.short = MAX_DETOUR * self._most_direct.length
+        self.short = PLAN.most_detour * self._most_direct.length
         self._clear: list[JointPath] = []
         self._hindered: list[tuple[tuple[float, float], JointPath]] = []
 
@@ -549,7 +561,7 @@ class _Candidates:
         """
         search = self._search
         variant = 2 * attempt
-        count = MAX_PATHS // (1 + attempt)
+        count = PLAN.paths // (1 + attempt)
         found = None
         hopeless = False
         if self._tasks is None:
@@ -564,7 +576,7 @@ class _Candidates:
         if found is not None:
             yield from self._relax_found(found)
         else:
-            count = min(count, MAX_HOPELESS_PATHS)
+            count = min(count, PLAN.hopeless_paths)
         for k in range(int(not hopeless), count):
             if not self._clear:
                 yield self._relax(k, variant, count)
@@ -608,7 +620,7 @@ class _Candidates:
         """Return a path relaxed among the obstacles, the k-th of an attempt."""
         self._tell(f"relaxation {k + 1} of {count}")
         objective, start, edges, _ = self._search.problem
-        penalties = self._penalties(CLEARANCE_ROOTS[(variant + k) % len(CLEARANCE_ROOTS)])
+        penalties = self._penalties(PLAN.clearance_roots[(variant + k) % len(PLAN.clearance_roots)])
         return direct_path(objective, start.q, self._search.goal.q, edges, penalties, variant + k)
 
     def _relax_found(self, found: FoundPath) -> Iterator[JointPath]:
@@ -619,7 +631,9 @@ class _Candidates:
         objective, start, edges, _ = search.problem
         self._tell(f"relaxation of a path found by {found.found_by}")
         try:
-            relaxed = relax_path(objective, start.q, found.offsets, edges, self._penalties(SEARCHED_ROOT))
+            relaxed = relax_path(
+                objective, start.q, found.offsets, edges, self._penalties(PLAN.searched_root)
+            )
         except KeyboardInterrupt:
             self.judge(raw)
             raise
@@ -644,7 +658,7 @@ def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> Row
     """Return the rows of the tasks along the path; None without tasks."""
     if not objective.tasks:
         return None
-    kinds = [(TASK_ROOT, False), (TASK_ROOT * float(np.sqrt(PRIORITY_WEIGHT)), True)]
+    kinds = [(PLAN.task_root, False), (PLAN.task_root * float(np.sqrt(OBJECTIVE.priority_weight)), True)]
     ends = [[objective.task_rows(at, priority) for at in (state, goal)] for _, priority in kinds]
 
     def rows(at: ChainState, share: float) -> LinearRows:
@@ -678,7 +692,7 @@ def _is_clear(path: JointPath, avoidance: Avoidance, least: float) -> bool:
 
 def is_small_change(before: Objective, after: Objective) -> bool:
     """Whether a target posture differs little from the previous one."""
-    return before.distance_to(after) <= SMALL_CHANGE * after.arm.length / after.arm.n_modules
+    return before.distance_to(after) <= PLAN.small_change * after.arm.length / after.arm.n_modules
 
 
 def replan(
@@ -714,24 +728,24 @@ def replan(
         if prompt and not is_small_change(path.objective, objective):
             raise PlanNeeded
         start = arm.chain_at(before)
-        good = GOAL_TOLERANCE * arm.length
+        good = OBJECTIVE.goal_tolerance * arm.length
         if avoidance is None and not objective.tasks:
             first = start if objective.target.q is None else None
             enough = _achievable_error(path.objective, objective, start)
             found = find_goal(problem, good, first, enough, prompt)
         else:  # a whole search takes long: this one goes on in the next cycle
             allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
-            found = minimize(problem, start, good, allowed, MAX_QUICK_STEPS)
+            found = minimize(problem, start, good, allowed, DESCENT.quick_steps)
         goal = found.state
         clear = found.intrusion == 0.0
     change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
     bent = change if bend is None else bend + change
-    too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
+    too_far = _size(objective, bent) > PLAN.most_bend * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         errors = _task_errors(objective, state, goal, path, place)
         return replace(path.bent(place, change, edges), objective=objective, task_errors=errors), bent
     new = None
-    if not objective.tasks or _size(objective, arm.difference(state.q, goal.q)) <= MIN_PLANNED_MOTION:
+    if not objective.tasks or _size(objective, arm.difference(state.q, goal.q)) <= PLAN.least_planned_motion:
         new = short_path(problem, goal)
     if new is None and prompt:
         raise PlanNeeded
@@ -747,8 +761,8 @@ def _achievable_error(before: Objective, after: Objective, goal: ChainState) -> 
     """
     left = before.mean_error(goal)
     moved = before.distance_to(after)
-    small = SMALL_CHANGE * after.arm.length / after.arm.n_modules
-    return NOISE_FACTOR * (left + moved) if moved <= max(left, small) else 0.0
+    small = PLAN.small_change * after.arm.length / after.arm.n_modules
+    return PLAN.noise_factor * (left + moved) if moved <= max(left, small) else 0.0
 
 
 def _known_goal(objective: Objective, edges: Array, before: Array) -> ChainState | None:

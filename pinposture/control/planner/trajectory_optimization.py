@@ -30,7 +30,7 @@ from pinposture.arm import ChainState
 from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
-from pinposture.control.planner.path import SHORT_MOTION, JointPath
+from pinposture.control.planner.path import PATH, JointPath
 from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class Penalties(NamedTuple):
 
     def for_pieces(self, pieces: int) -> Penalties:
         """Return the terms of a given path in so many pieces: motion costs more in longer ones."""
-        return self._replace(clearance_root=self.clearance_root * GIVEN_PATH_PIECES[1] / pieces)
+        return self._replace(clearance_root=self.clearance_root * AMONG_OBSTACLES.pieces_of_given[1] / pieces)
 
 
 class Stage(NamedTuple):
@@ -98,49 +98,81 @@ long, as for arms that fold onto themselves, the relaxation restarts with many p
 
 _STAGES = np.array(STAGES)
 
-FIRST_PIECES = 5
-FIRST_PIECES_OF_LONG = 6
-LONG_ARM = 30
-"""Initial number of pieces, that for a long arm, and the number of modules from which an arm is long."""
 
-MIN_DECREASE = 1e-4
-"""Relative decrease of the energy in one pass at which a stage ends."""
+class StageSettings(NamedTuple):
+    """The pieces of a path, and the stages in which it is relaxed in free space."""
 
-PENALIZED_PIECES = 48
-GIVEN_PATH_PIECES = (32, 64, 128, 256)
-"""Number of pieces of a path with penalties; and of a given path, the first with which it is still clear."""
+    first_pieces: int = 5
+    """Initial number of pieces."""
 
-KEPT_RATIO = 1.01
-"""Path length ratio up to which joint interpolation is kept."""
+    first_pieces_of_long: int = 6
+    """That for a long arm."""
 
-REFINEMENT = 4
-MIN_PIECES = 96
-"""Number of pieces into which each is divided at the end, on a spline, and smallest total number."""
+    long_arm: int = 30
+    """Number of modules from which an arm is long."""
 
-SMALL_BEND = 0.05
-LARGE_BEND = 0.4
-"""Sideways bend of the initial guess, relative to the largest joint motion, which breaks symmetries; and that
-of the variants."""
+    least_decrease: float = 1e-4
+    """Relative decrease of the energy in one pass at which a stage ends."""
 
-NEWTON_CONVERGED = 1e-3
-"""Relative decrease of the energy at which Gauss-Newton steps end."""
+    kept_ratio: float = 1.01
+    """Path length ratio up to which joint interpolation is kept."""
 
-MAX_HINDERED_ITERATIONS = 30
-PATIENT_ITERATIONS = 6
-SLOW_SHARE = 0.4
-"""Number of Gauss-Newton steps after which a path that is not clear is abandoned; number after which it is
-abandoned if the energy exceeds a share of the initial one, and that share."""
+    refinement: int = 4
+    """Number of pieces into which each is divided at the end, on a spline."""
 
-MAX_WAYPOINT_STEP = 0.3
-"""Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
+    least_pieces: int = 96
+    """Smallest number of pieces after that."""
 
-MIN_DAMPING = 1e-9
-MAX_DAMPING = 1e6
-"""Smallest damping of Gauss-Newton steps, and that at which the search ends, relative to the mean diagonal of
-J^T J."""
+    small_bend: float = 0.05
+    """Sideways bend of the initial guess, relative to the largest joint motion, which breaks
+    symmetries."""
 
-DAMPING_DECREASE = 1.0 / 3.0
-"""Damping factor after a step that lowered the energy."""
+    large_bend: float = 0.4
+    """That bend of the variants."""
+
+
+STAGING = StageSettings()
+
+
+class HinderedSettings(NamedTuple):
+    """How a path is relaxed where clearances or tasks count."""
+
+    pieces: int = 48
+    """Number of pieces of a path with penalties."""
+
+    pieces_of_given: tuple[int, ...] = (32, 64, 128, 256)
+    """Number of pieces of a path that is given, the first with which it is still clear."""
+
+    converged: float = 1e-3
+    """Relative decrease of the energy at which Gauss-Newton steps end."""
+
+    iterations: int = 30
+    """Number of Gauss-Newton steps after which a path that is not clear is abandoned."""
+
+    patient_iterations: int = 6
+    """Number of steps after which it is abandoned if the energy exceeds a share of the initial one."""
+
+    slow_share: float = 0.4
+    """That share."""
+
+    waypoint_step: float = 0.3
+    """Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
+
+    least_damping: float = 1e-9
+    """Smallest damping of Gauss-Newton steps, relative to the mean diagonal of J^T J."""
+
+    most_damping: float = 1e6
+    """Damping at which the search ends, relative to the mean diagonal of J^T J."""
+
+    damping_decrease: float = 1.0 / 3.0
+    """Damping factor after a step that lowered the energy."""
+
+    held_back: int = 8
+    """How often waypoints of a step are held back to keep a clear path clear, before the step is
+    rejected."""
+
+
+AMONG_OBSTACLES = HinderedSettings()
 
 
 class Descent(NamedTuple):
@@ -167,9 +199,6 @@ FINE = COARSE._replace(steps=10)
 WHOLE = COARSE._replace(steps=50)
 """From a guess; from a given path in few pieces, then with each divided in two; and in many at once."""
 
-MAX_HELD_BACK = 8
-"""How often waypoints of a step are held back to keep a clear path clear, before the step is rejected."""
-
 
 def direct_path(
     objective: Objective,
@@ -192,17 +221,17 @@ def direct_path(
     arm = objective.arm
     change = objective.normalize(arm.difference(start, goal))
     largest = float(np.abs(change).max(initial=0.0))
-    if penalties is None and largest <= SHORT_MOTION:
+    if penalties is None and largest <= PATH.short_motion:
         return JointPath(objective, start, np.array([np.zeros(arm.nv), objective.displacement(change)]))
     waypoints = _Waypoints(objective, start, edges)
     bend = _bend(objective, variant) * largest
     if penalties is None:
         found = waypoints.relax(change, bend)
     else:
-        guess = waypoints.interpolate(change, bend, PENALIZED_PIECES)
+        guess = waypoints.interpolate(change, bend, AMONG_OBSTACLES.pieces)
         found = _PathRelaxation(waypoints, penalties).run(guess)
     pieces = len(found) - 1
-    finer = max(REFINEMENT, MIN_PIECES // pieces) * pieces
+    finer = max(STAGING.refinement, STAGING.least_pieces // pieces) * pieces
     smooth = waypoints.refine(found, finer) if pieces > 1 else found
     return JointPath(objective, start, objective.displacement(smooth))
 
@@ -225,7 +254,7 @@ def relax_path(
     waypoints = _Waypoints(objective, start, edges)
     # Distances between waypoints, where pieces are divided, are known to the tolerance.
     spare = penalties.least + MOTION_TOLERANCE * objective.arm.length
-    few = GIVEN_PATH_PIECES[0]
+    few = AMONG_OBSTACLES.pieces_of_given[0]
     coarse = _PathRelaxation(waypoints, penalties.for_pieces(few)._replace(least=spare))
     x = waypoints.space(offsets, few)
     descent = FINE
@@ -233,12 +262,12 @@ def relax_path(
         x = waypoints.divide(coarse.run(x, COARSE))
     else:
         descent = WHOLE
-        for pieces in GIVEN_PATH_PIECES[1:]:
+        for pieces in AMONG_OBSTACLES.pieces_of_given[1:]:
             x = waypoints.space(offsets, pieces)
             if _PathRelaxation(waypoints, penalties).is_clear(x):
                 break
     found = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
-    smooth = waypoints.refine(found, REFINEMENT * (len(found) - 1))
+    smooth = waypoints.refine(found, STAGING.refinement * (len(found) - 1))
     first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, found))
     return first, second
 
@@ -295,15 +324,15 @@ class _Waypoints:
     def relax(self, change: Array, bend: Array) -> Array:
         """Return the waypoints of the most direct path found, with as many pieces as it needs."""
         arm = self.objective.arm
-        pieces = FIRST_PIECES if arm.n_modules < LONG_ARM else FIRST_PIECES_OF_LONG
+        pieces = STAGING.first_pieces if arm.n_modules < STAGING.long_arm else STAGING.first_pieces_of_long
         stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
         return kernels.find_direct_waypoints(
             self._problem,
             self.interpolate(change, bend, pieces),
             _STAGES,
             stiffness,
-            MIN_DECREASE,
-            KEPT_RATIO,
+            STAGING.least_decrease,
+            STAGING.kept_ratio,
         )
 
     def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
@@ -319,7 +348,7 @@ class _Waypoints:
 def _bend(objective: Objective, variant: int) -> Array:
     """Return a sideways bend of the whole arm, (n,), different for each variant."""
     along = (np.arange(len(objective.columns)) + 0.5) / len(objective.columns)
-    size = LARGE_BEND if variant else SMALL_BEND
+    size = STAGING.large_bend if variant else STAGING.small_bend
     sign = (-1.0) ** variant
     waves = 1 + variant // 2
     return np.asarray(size * sign * np.cos(np.pi * waves * along))
@@ -376,21 +405,24 @@ class _PathRelaxation:
         increase = descent.increase
         first = now.energy
         for number in range(descent.steps):
-            slow = number >= PATIENT_ITERATIONS and now.energy > SLOW_SHARE * first
-            hopeless = (slow or number >= MAX_HINDERED_ITERATIONS) and not now.clear.all()
-            if hopeless or damping > MAX_DAMPING or perf_counter() >= self._penalties.until:
+            slow = (
+                number >= AMONG_OBSTACLES.patient_iterations
+                and now.energy > AMONG_OBSTACLES.slow_share * first
+            )
+            hopeless = (slow or number >= AMONG_OBSTACLES.iterations) and not now.clear.all()
+            if hopeless or damping > AMONG_OBSTACLES.most_damping or perf_counter() >= self._penalties.until:
                 break
             step = self._step(now, damping)
-            shortened = step is not None and float(np.abs(step).max()) > MAX_WAYPOINT_STEP
+            shortened = step is not None and float(np.abs(step).max()) > AMONG_OBSTACLES.waypoint_step
             tried = None if step is None else self._move(now, _shortened(step))
             if tried is None or tried.energy >= now.energy:
                 damping = damping * increase
                 increase = increase**descent.power
                 continue
-            converged = now.energy - tried.energy < NEWTON_CONVERGED * now.scale
+            converged = now.energy - tried.energy < AMONG_OBSTACLES.converged * now.scale
             now = tried
             if not (shortened and descent.keeps):
-                damping = max(damping * DAMPING_DECREASE, MIN_DAMPING)
+                damping = max(damping * AMONG_OBSTACLES.damping_decrease, AMONG_OBSTACLES.least_damping)
             increase = descent.increase
             if converged:
                 break
@@ -403,7 +435,7 @@ class _PathRelaxation:
         """
         moved = now.x.copy()
         moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, self._lower), self._upper)
-        for _ in range(MAX_HELD_BACK):
+        for _ in range(AMONG_OBSTACLES.held_back):
             tried = self._evaluate(moved, now)
             if tried.clear.all() or not now.clear.all():
                 return tried
@@ -494,4 +526,4 @@ class _PathRelaxation:
 
 def _shortened(step: Array) -> Array:
     """Return a step in which no joint of a waypoint moves too far."""
-    return step * min(1.0, MAX_WAYPOINT_STEP / max(float(np.abs(step).max()), 1e-300))
+    return step * min(1.0, AMONG_OBSTACLES.waypoint_step / max(float(np.abs(step).max()), 1e-300))

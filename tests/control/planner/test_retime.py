@@ -16,7 +16,7 @@ from scipy.sparse import csr_array, vstack
 
 import pinposture as pp
 from pinposture.control.planner.objective import Objective
-from pinposture.control.planner.path import ACCELERATION_SHARE, JointPath, SpeedProfile
+from pinposture.control.planner.path import PATH, JointPath, SpeedProfile
 
 ROUNDING = 1e-9
 
@@ -225,7 +225,7 @@ def test_no_speeds_that_the_limits_allow_are_much_faster(seed: int) -> None:
     path = smooth_way(rng, 70, 4)
     brake = rng.uniform(1e-4, 1e-2, 4)
     bounds = replace(
-        pp.Limits().for_arm(path.arm), bound=np.full(4, np.inf), brake=brake / ACCELERATION_SHARE
+        pp.Limits().for_arm(path.arm), bound=np.full(4, np.inf), brake=brake / PATH.acceleration_share
     )
     profile = SpeedProfile(path, bounds)
     assert profile.steps <= 1.02 * shortest(path, profile, brake)
@@ -258,5 +258,5 @@ def test_the_arm_does_not_stop_on_the_way_because_of_rounding() -> None:
     path = pp.plan(arm.at(start), pp.Target.from_configuration(arm, goal), limits=limits)
     profile = pp.retime(path, limits).profile
     assert profile is not None and profile.top[1:-1].min() > 0.05
-    brake = ACCELERATION_SHARE * limits.for_arm(arm).brake
+    brake = PATH.acceleration_share * limits.for_arm(arm).brake
     assert profile.steps <= 1.02 * shortest(path, profile, brake)

@@ -14,7 +14,7 @@ from sampling import seeds
 import pinposture as pp
 from benchmarks.studies import torque_limits
 from pinposture.arm import smooth_configuration
-from pinposture.control.planner.path import EFFORT_SHARE
+from pinposture.control.planner.path import PATH
 from pinposture.control.torque_limits import TORQUE_LIMIT, StepTorques
 from pinposture.errors import InvalidValue, WeightUnknown
 
@@ -55,7 +55,7 @@ def share_of_steps(arm: pp.Arm, q: np.ndarray, moves: np.ndarray, dt: float) -> 
 def test_a_door_is_opened_in_the_shortest_time(angle: float) -> None:
     arm = pp.Arm.load(HINGE)
     timed = timed_between(arm, [0.0], [angle], pp.Limits(step=None, velocity=100.0, dt=1e-3))
-    acceleration = EFFORT_SHARE * 2.0 / (0.16 + 3.0 * 0.4**2)
+    acceleration = PATH.effort_share * 2.0 / (0.16 + 3.0 * 0.4**2)
     assert timed.duration == pytest.approx(2.0 * np.sqrt(angle / acceleration), rel=0.01, abs=0.002)
 
 
@@ -64,7 +64,7 @@ def test_a_lift_rises_and_sinks_in_the_shortest_time(distance: float) -> None:
     """It brakes with gravity as it rises, and against it as it sinks."""
     arm = pp.Arm.load(SLIDE, split=1)
     timed = timed_between(arm, [0.0], [distance], pp.Limits(step=None, velocity=100.0, dt=1e-3))
-    reserve = (1.0 - EFFORT_SHARE) * (40.0 / 2.5 - 9.81)  # of what holding it leaves
+    reserve = (1.0 - PATH.effort_share) * (40.0 / 2.5 - 9.81)  # of what holding it leaves
     least = 40.0 / 2.5 - reserve - 9.81
     most = 40.0 / 2.5 - reserve + 9.81
     shortest = np.sqrt(2.0 * abs(distance) * (least + most) / (least * most))

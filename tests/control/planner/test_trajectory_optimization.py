@@ -19,7 +19,7 @@ from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.trajectory_optimization import (
     COARSE,
     FINE,
-    KEPT_RATIO,
+    STAGING,
     Penalties,
     direct_path,
     relax_path,
@@ -169,7 +169,7 @@ def test_joint_interpolation_stays_where_it_is_direct() -> None:
     start = np.full(8, 0.1)
     path = way(arm, start, start + 0.01)
     assert len(path.offsets) == 2
-    assert swept(arm, path) <= KEPT_RATIO
+    assert swept(arm, path) <= STAGING.kept_ratio
 
 
 @pytest.mark.parametrize(("template", "modules"), [("Rz", 12), ("RyRz", 10)])
