@@ -1261,11 +1261,14 @@ class ArmState(ABC):
 
     Attributes:
         arm: the arm.
+        q: configuration, (nq,) [rad or m].
     """
 
     def __init__(self, arm: Arm, q: Array) -> None:
         self.arm = arm
-        self._q = q
+        self._q = q  # kernels take arrays that can be written to
+        self.q: Array = q.view()
+        self.q.flags.writeable = False
 
     @property
     @abstractmethod
@@ -1320,14 +1323,9 @@ class ArmState(ABC):
         return type(self)(self.arm, self.arm.integrate(self._q, dq))
 
     @cached_property
-    def q(self) -> Array:
-        """Configuration, (nq,) [rad or m]."""
-        return _read_only(self._q)
-
-    @cached_property
     def raw_positions(self) -> Array:
         """Joint positions (nv,) [rad or m], for kernels; do not write to them."""
-        return self.arm.difference(self.arm.origin, self._q)
+        return np.array(self._q) if self.arm._flat else self.arm.difference(self.arm.origin, self._q)
 
     @cached_property
     def positions(self) -> Array:

@@ -149,15 +149,17 @@ class ExcludedPair(NamedTuple):
     reason: str
 
 
-def _self_pairs(model: pin.Model, carriers: Sequence[int]) -> Iterator[IndexPair]:
-    """Yield the pairs of bodies that can move relative to each other and are not on adjacent joints."""
+def _self_pairs(model: pin.Model, carriers: Sequence[int]) -> list[IndexPair]:
+    """Return the pairs of bodies that can move relative to each other and are not on adjacent joints."""
+    pairs = []
     for second, other in enumerate(carriers):
         for first, joint in enumerate(carriers[:second]):
             joints = (joint, other)
             joined = any(a == b or int(model.parents[a]) == b for a, b in (joints, joints[::-1]) if a or b)
             if not joined and joints != (0, 0):
                 # The body nearer to the tip comes first: it is the one that moves away.
-                yield (second, first) if other >= joint else (first, second)
+                pairs.append((second, first) if other >= joint else (first, second))
+    return pairs
 
 
 def _carried_pairs(objects: CollisionObjects) -> Iterator[IndexPair]:
@@ -199,7 +201,7 @@ def _choose_pairs(
     moving = [index for index, joint in enumerate(objects.joints) if joint]
     against = [(index, count + k) for index in moving for k in range(len(objects.fixed))]
     against = [pair for pair in against if pair not in beside]
-    own = list(_self_pairs(arm.model, objects.joints[: objects.own])) if scene.self_collision else []
+    own = _self_pairs(arm.model, objects.joints[: objects.own]) if scene.self_collision else []
     own += _carried_pairs(objects)
     near = objects.distances(own)
     touching = set[IndexPair]()

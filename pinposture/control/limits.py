@@ -273,7 +273,7 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
         Steps, (k, nv) [rad or m]; k = 0 if the arm can stop at once.
     """
     found = [np.empty((0, len(dq)))]
-    while brake is not None and (ratio := float(np.max(np.abs(dq) / brake))) > 1.0:
+    while brake is not None and (ratio := float((np.abs(dq) / brake).max())) > 1.0:
         shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MAX_STOPPING_STEPS)) / ratio
         steps = shares[:, None] * dq
         gone = np.cumsum(steps, axis=0) - steps

@@ -170,9 +170,10 @@ class RateCheck:
                 most = bounds.jerk / bounds.dt**3
                 words += self._compare("jerk", jerk, most, SMOOTHING.displacement / shortest**3)
         if bounds.effort is not None and positions is not None:
-            torques = self._arm.dynamics.inverse_dynamics(positions[None], mean_speed[None], gentlest[None])
-            load = heaviest_load(self._arm.drives, torques[0], bounds.effort)
-            if load.share > 1.0 + SMOOTHING.rate:
+            moving = self._arm.dynamics.inverse_dynamics(positions[None], mean_speed[None], gentlest[None])
+            torques = moving[0]
+            if (np.abs(torques) > (1.0 + SMOOTHING.rate) * bounds.effort).any():
+                load = heaviest_load(self._arm.drives, torques, bounds.effort)
                 words += (f"torque limit: {load} for this step",)
         return words
 

@@ -47,6 +47,8 @@ IN_MILLIMETRES = "if it is in millimetres, load it with scale=0.001"
 class Target:
     """Target positions of the control points, and their origin.
 
+    Its arrays are copies of those given, or these themselves where they are read-only.
+
     Attributes:
         points: target positions, (m, 3) [m], world frame.
         weights: 1 for a control point with a target, 0 for a free one, (m,). `fit_points` and
@@ -86,10 +88,15 @@ class Target:
     def __post_init__(self) -> None:
         for name in ("points", "weights", "q", "parameters", "residual", "velocity"):
             value = getattr(self, name)
-            if value is not None:
-                array = as_floats(f"target.{name}", value)
-                array.flags.writeable = False
-                object.__setattr__(self, name, array)
+            if value is None:
+                continue
+            if type(value) is np.ndarray and value.dtype == np.float64:
+                flags = value.flags
+                if flags.c_contiguous and not flags.writeable:  # as in each cycle of a motion
+                    continue
+            array = as_floats(f"target.{name}", value)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
 
     def __repr__(self) -> str:
         placed = int(np.count_nonzero(self.weights > 0.0))
@@ -258,8 +265,12 @@ class Target:
 
 def target_at(state: ArmState, weights: Array) -> Target:
     """Return the posture of an arm at a state as a target, with weights (m,), which needs no checks."""
-    target = Target(state.points, weights, q=state.q)
-    state.arm.cache.setdefault(check_numbers, WeakSet()).add(target)
+    return known_target(state.arm, Target(state.points, weights, q=state.q))
+
+
+def known_target(arm: Arm, target: Target) -> Target:
+    """Return a target that is computed from a posture of an arm, so that no step checks its numbers."""
+    arm.cache.setdefault(check_numbers, WeakSet()).add(target)
     return target
 
 

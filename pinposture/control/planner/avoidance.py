@@ -652,7 +652,7 @@ class Avoidance:
 
     def _stop_after(self, state: ChainState, dq: Array) -> Stop:
         """Return the steps that stop the arm after a step, and their torques and those of the step."""
-        torques = self.torques_at(state)
+        torques = None if self.torques is None else self.torques_at(state)
         if torques is not None:
             return torques.stop(dq)
         bounds = self._bounds

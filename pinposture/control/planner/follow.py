@@ -713,7 +713,7 @@ def _clear_stop(
         avoidance: the obstacles to avoid.
     """
     found = avoidance.clear_stop(state, dq)
-    path = moved.path
+    path = moved.timed.path
     brake = bounds.brake
     if found is not None or brake is None or bounds.effort is not None or moved.timed.profile is None:
         return found

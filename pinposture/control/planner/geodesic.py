@@ -427,14 +427,15 @@ class _Situation:
         """The steps that are known to stop the arm within its limits, (k, nv); None: none."""
         if self.memory is None:
             return None
-        if self.torques is None:
+        torques = None if self.bounds.effort is None else self.torques
+        if torques is None:
             before = self.before
             if before is None or before.timed.bounds is not self.bounds:
                 return None
             return self.memory.stopping if before.is_expected(self.state) else None
         if self.memory.stopping is not None:
             return self.memory.stopping
-        return None if self.before is None else self.before.known_stop(self.state, self.torques)
+        return None if self.before is None else self.before.known_stop(self.state, torques)
 
     @cached_property
     def stopping(self) -> Step | None:
