@@ -289,7 +289,7 @@ def run(given: argparse.Namespace, scenario: str) -> dict[str, object]:
     return {
         "scenario": scenario,
         "steps": done,
-        "controller": loop.tracker._loop.steps.controller.name,
+        "controller": loop.tracker._steps.controller.name,
         "largest speed, of its limit": fastest / SPEED,
         "largest acceleration that was not reported, of its limit": acceleration,
         "largest jerk, of its limit": roughest / given.jerk if given.jerk else None,

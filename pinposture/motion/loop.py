@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,10 @@ from pinposture.arm.arm import state_at
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, Step
 from pinposture.control.constraint import describe_violated, sides_of
-from pinposture.control.controller import Info, Memory
+from pinposture.control.controller import Info, Memory, next_step
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.motion.deadline import DirectStep, PlannedStep
 from pinposture.motion.run import Run
 from pinposture.motion.tolerances import ERROR_ROUNDING, STALL, STEP_ROUNDING
 from pinposture.placement import Target
@@ -31,34 +30,30 @@ class Loop:
     """An arm that a controller moves, cycle by cycle.
 
     `RecordedLoop` records the cycles, for `track`; `perform` moves its target on a schedule; `Tracker` starts
-    each cycle where measurements put the arm. In a cycle, `compute` asks the controller; then the arm takes
-    the step, or brakes.
+    each cycle where measurements put the arm. In a cycle, the controller computes a step from `ahead` and
+    `memory`; then the arm takes the step, and its memory, or refuses it and brakes.
 
     Attributes:
         arm: the arm.
         state: the state of the arm.
         ahead: the state from which the controller steps: with the motion that a limit of jerk still delays.
-        steps: computes the steps of `steps.controller`, which may be replaced between cycles.
         limits: the limits of the step.
         filter: limits the jerk.
         memory: memory of the controller; None before the first step.
 
     Args:
         state: the state from which the arm starts.
-        steps: as above.
-        limits: likewise.
+        limits: as above.
         jerk_filter: likewise.
     """
 
     def __init__(
         self,
         state: ArmState,
-        steps: DirectStep | PlannedStep,
         limits: Limits,
         jerk_filter: JerkFilter | SmoothSteps,
     ) -> None:
         self.arm = state.arm
-        self.steps = steps
         self.limits = limits
         self.filter = jerk_filter
         self.memory: Memory | None = None
@@ -69,15 +64,9 @@ class Loop:
         self.state = state
         self.ahead = state.moved(self.filter.ahead) if self.filter.active else state
 
-    def compute(self, target: Target) -> Step | None:
-        """Return the step of the controller towards a target, without taking it; None if it is late.
-
-        The memory keeps what is planned, but not the motion, as the arm may brake instead.
-        """
-        step, self.memory = self.steps.compute(self.ahead, target, self.limits, self.memory)
-        if step is not None:
-            self.memory = step.memory.with_motion_of(self.motion)
-        return step
+    def refuse(self, step: Step) -> None:
+        """Keep what a step has planned, but not its motion, as the arm brakes instead of taking it."""
+        self.memory = step.memory.with_motion_of(self.motion)
 
     def braked(self) -> Memory:
         """Return the memory after a step that decelerates all joints as much as the limits allow."""
@@ -252,6 +241,7 @@ class RecordedLoop(Loop):
     """A control loop in equal cycles, with the record of its run.
 
     Attributes:
+        controller: the controller; it may be replaced between cycles.
         record: the run so far.
         last_step: the last step that was computed; None before the first.
 
@@ -275,14 +265,15 @@ class RecordedLoop(Loop):
         limits: Limits,
         scene: Scene | None = None,
     ) -> None:
-        super().__init__(state_at(arm, q0), DirectStep(controller), limits, JerkFilter(arm, limits))
+        super().__init__(state_at(arm, q0), limits, JerkFilter(arm, limits))
+        self.controller = controller
         self.last_step: Step | None = None
         self.record = RunRecord(target, self.state, scene)
         self._bounds = self.filter.bounds
 
     def compute(self, target: Target) -> Step:
-        """Return the next step towards a target, without taking it; as `Loop.compute`, but never late."""
-        self.last_step = cast(Step, super().compute(target))
+        """Return the next step towards a target, without taking it."""
+        self.last_step = next_step(self.controller, self.ahead, target, self.limits, self.memory)
         return self.last_step
 
     def take(self, step: Step, target: Target | None = None) -> None:
@@ -292,7 +283,7 @@ class RecordedLoop(Loop):
             step: the step.
             target: the target after the step, if it has changed.
         """
-        dq = self.filter.apply(step.dq)
+        dq = self.filter.apply(step.dq) if self.filter.active else step.dq
         self.memory = step.memory
         self.start_at(self.state.moved(dq))
         if self.filter.active:
@@ -300,13 +291,13 @@ class RecordedLoop(Loop):
         try:
             self.record.append(self.state, step, self._bounds.travel, target)
         except InvalidValue as error:  # what the controller reports is not as before
-            name = f"{type(self.steps.controller).__name__}.step(...).{error.name}"
+            name = f"{type(self.controller).__name__}.step(...).{error.name}"
             raise InvalidValue(name, error.value, error.allowed) from None
 
     def enter(self, scene: Scene) -> None:
         """Go on in another scene, in which the arm has to keep clear, and its distances are recorded."""
-        if isinstance(self.steps.controller, Geodesic):
-            self.steps.controller = self.steps.controller.with_scene(None if scene.empty else scene)
+        if isinstance(self.controller, Geodesic):
+            self.controller = self.controller.with_scene(None if scene.empty else scene)
         self.record.measure_in(self.arm, scene)
 
     def run(
@@ -328,10 +319,11 @@ class RecordedLoop(Loop):
             if status:
                 break
             step = self.compute(target)
-            if step.reason and self.filter.moving:
-                self.brake()  # let the jerk filter settle first
-                continue
             if step.reason:
+                self.refuse(step)
+                if self.filter.moving:
+                    self.brake()  # let the jerk filter settle first
+                    continue
                 # With active points but no step, the controller is stuck.
                 status = "stalled" if step.active else "no_control_points"
                 reason = step.reason

@@ -258,14 +258,14 @@ class Tracker:
         self._drives = drives
         self._touch = None if touch is None else TouchDetector(arm, touch)
         controller, self.scene = in_scene(controller_named(controller), scene)
-        steps: DirectStep | PlannedStep
+        self._steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
-            steps = PlannedStep(arm, controller)
+            self._steps = PlannedStep(arm, controller)
         else:
-            steps = DirectStep(controller, deadline)
+            self._steps = DirectStep(controller, deadline)
         self._obstacles = ObstacleVelocities(self.scene, arm.length)
         inner = self._of_command(limits)
-        self._loop = Loop(arm.at(arm.neutral()), steps, inner, SmoothSteps(arm, inner))
+        self._loop = Loop(arm.at(arm.neutral()), inner, SmoothSteps(arm, inner))
         self._feedback = Feedback(
             arm,
             feedback_time_constant if interface == "position" else 0.0,
@@ -293,7 +293,7 @@ class Tracker:
         build_models(arm, self.scene)
 
     def __repr__(self) -> str:
-        return f"Tracker({self.arm.name!r}, {self._loop.steps.controller.name!r}, {self.report})"
+        return f"Tracker({self.arm.name!r}, {self._steps.controller.name!r}, {self.report})"
 
     @property
     def limits(self) -> Limits:
@@ -483,10 +483,10 @@ class Tracker:
             raise InvalidValue("scene", scene, "a Scene(...), or None")
         scene = self._obstacles.advance(scene, passed)
         if scene is not None and scene is not self.scene:
-            controller, self.scene = in_scene(self._loop.steps.controller, scene)
+            controller, self.scene = in_scene(self._steps.controller, scene)
             if self._smoothing.active and scene.velocities:  # obstacles where the filtered steps meet them
                 controller, _ = in_scene(controller, scene.after(self._smoothing.delay * self._period))
-            self._loop.steps.controller = controller
+            self._steps.controller = controller
             if self._has_other_obstacles(scene):
                 self._try_again()
         if self._former is not None and self.at_rest:
@@ -587,6 +587,8 @@ class Tracker:
         if step is not None and (not reason or aim is rest):
             loop.memory = step.memory
             return Decision(step, step.dq, reason, compensated, False)
+        if step is not None:
+            loop.refuse(step)
         held, evading = self._hold(feedback.state is not None and not feedback.reason)
         loop.memory = held
         if self._evasion.lasting and not self._pursuit.lasting:
@@ -607,38 +609,38 @@ class Tracker:
 
     def _compute(self, aim: Target) -> tuple[Step | None, str]:
         """Return the step of the controller, if there is one, and why the arm cannot take it."""
-        before = self._loop.memory
+        loop = self._loop
         try:
-            step = self._loop.compute(aim)
+            step, memory = self._steps.compute(loop.ahead, aim, loop.limits, loop.memory)
         except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
             reason = str(error)  # unusable input, such as a target without a configuration
             if isinstance(error, ControllerError) and not self.report.reason.startswith(reason):
                 logger.warning("the arm holds: %s", reason, exc_info=error)
             return None, reason
+        if step is not None and not isfinite(step.dq @ step.dq):
+            return None, "the step of the controller is not finite"
+        loop.memory = memory
         if step is None:
             return None, NOT_DONE
-        if not isfinite(step.dq @ step.dq):
-            self._loop.memory = before
-            return None, "the step of the controller is not finite"
         if not step.reason:
             return step, ""
         return step, step.reason + describe_binding_limits(self.arm, step)
 
     def _watch_clearance(self) -> None:
         """Let the controller keep the measured arm clear, too, where drives lag or sag."""
-        controller = self._loop.steps.controller
+        controller = self._steps.controller
         displacement = self._feedback.displacement
         if not isinstance(controller, Geodesic) or controller.offset is displacement:
             return
         if controller.scene is not None:
-            self._loop.steps.controller = controller.with_offset(displacement)
+            self._steps.controller = controller.with_offset(displacement)
 
     def _displace_tasks(self, dt: float) -> None:
         """Have the measured arm take the tasks of the controller, once its displacement has settled.
 
         In motion it changes with the lag of the drives, and tasks that change need another path.
         """
-        controller = self._loop.steps.controller
+        controller = self._steps.controller
         if not self._tasks or not isinstance(controller, Geodesic) or not self._feedback.compensates:
             return
         displacement = np.zeros(self.arm.nv)
@@ -654,7 +656,7 @@ class Tracker:
         if settled and np.any(np.abs(displacement - self._displaced) > noise):
             self._displaced = displacement
             tasks = tuple(Displaced(task, displacement) for task in self._tasks)
-            self._loop.steps.controller = replace(controller, tasks=tasks)
+            self._steps.controller = replace(controller, tasks=tasks)
 
     def _watch_blockages(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
         """Watch whether obstacles keep the measured arm from its target [m], or from its margin, for long."""
@@ -741,7 +743,7 @@ class Tracker:
         """
         loop = self._loop
         braked = loop.braked()
-        controller = loop.steps.controller
+        controller = self._steps.controller
         if not measured or not isinstance(controller, Geodesic) or controller.scene is None:
             return braked, False
         may_evade = bool(controller.scene.moving) or controller.offset is not None

@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_function, require_instance, require_positive
-from pinposture.arm import Arm, ChainState
+from pinposture._validation import make_read_only, require_function, require_instance, require_positive
+from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
@@ -29,7 +29,7 @@ from pinposture.motion.run import Run
 from pinposture.motion.tolerances import ARRIVAL, STALL
 from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.placement import Target
-from pinposture.placement.target import target_at
+from pinposture.placement.target import known_target
 from pinposture.task.keyframe import Keyframe, as_keyframes, placed
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.passage import require_passage
@@ -112,7 +112,10 @@ class ReferencePath:
         self.times = reference.times
         self._rows = np.arange(reference.rows, dtype=np.float64)
         self._dt = cycle_of(limits)
-        self._lower, self._upper = bounds.edges - arm.positions(reference.start)
+        self._weights = reference.weights.astype(np.float64)
+        make_read_only(self._weights)
+        self._start = arm.positions(reference.start)
+        self._lower, self._upper = bounds.edges - self._start
         offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
         # Joints that do not move the arm stay where they are.
         offsets = np.ascontiguousarray(offsets * (arm.moved > 0.0))
@@ -227,8 +230,11 @@ class ReferencePath:
         arm = self.reference.arm
         row = min(int(np.ceil(place)), len(self.times) - 1)
         offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
+        points = arm.kinematics.points(self._start + offset[None])[0]
         q = arm.integrate(self.reference.start, offset)
-        return target_at(ChainState(arm, q), self.reference.weights[row])
+        points.flags.writeable = False
+        q.flags.writeable = False
+        return known_target(arm, Target(points, self._weights[row], q))
 
     def remaining(self, place: float, controller: Geodesic) -> TimedPath:
         """Return the rest of the path from a place, which is a whole row."""
@@ -396,7 +402,7 @@ class _Performance:
         if status != "converged":
             return status, f"on the way to the first posture: {reason}"
         self._start_index = len(self._places) - 1
-        controller = self.loop.steps.controller
+        controller = self.loop.controller
         ended = self._look_ahead() if isinstance(controller, Geodesic) else self._lead()
         return self._go_to(self.guide.end) if ended is None else ended
 
@@ -405,7 +411,7 @@ class _Performance:
         reference = self.guide.reference
         loop = self.loop
         places = np.array(self._places)
-        run = loop.record.run(loop.arm, loop.steps.controller, loop.limits, status, reason)
+        run = loop.record.run(loop.arm, loop.controller, loop.limits, status, reason)
         run = replace(run, held=self._held(places))
         nexts = [*(waypoint.row for waypoint in reference.waypoints[1:]), np.inf]
         results = tuple(
@@ -515,7 +521,8 @@ class _Performance:
                 ended = "stopped", STOPPED
         if ended[0] == "converged":
             self._set_place(place)
-            self._enter_stage(place)
+            if self._scene is not None:
+                self._enter_stage(place, self._scene)
         self._fill(self._place, target)
         self._max_steps += record.steps - begun
         return ended
@@ -540,9 +547,10 @@ class _Performance:
         """Record the place after a step; return status and reason if the motion ends there."""
         self._places.append(place)
         self._targets.append(target)
-        self._enter_stage(place)
+        if self._scene is not None:
+            self._enter_stage(place, self._scene)
         ended = None
-        if self._report():
+        if self.progress is not None and self._report():
             ended = "stopped", STOPPED
         elif self.loop.record.steps > self._max_steps:
             seconds = float(self.guide.time(place))
@@ -552,15 +560,13 @@ class _Performance:
             self._fill(place, target)
         return ended
 
-    def _enter_stage(self, place: float) -> None:
+    def _enter_stage(self, place: float, scene: Scene) -> None:
         """Go on in the scene of a place, if what the arm holds changes there."""
-        if self._scene is None:  # or it holds nothing
-            return
         stages = self.guide.reference.stages
         stage = stages.number(place)
         if stage != self._stage:
             self._stage = stage
-            self.loop.enter(stages.scene(stage, self._scene))
+            self.loop.enter(stages.scene(stage, scene))
 
     def _fill(self, place: float, target: Target) -> None:
         """Record the steps towards a target during which the plan did not advance."""
@@ -580,7 +586,7 @@ class _Performance:
         while self._place < guide.end:
             begun = self._place
             progress = None
-            controller = cast(Geodesic, loop.steps.controller)
+            controller = cast(Geodesic, loop.controller)
             remaining = guide.remaining(begun, controller)
             waypoint = guide.next_waypoint(begun)
             loop.memory = controller.start(remaining, loop.ahead.chain_state, loop.memory)
@@ -606,6 +612,7 @@ class _Performance:
                     return ended
             else:
                 return self._catch_up()
+            loop.refuse(step)
             waypoint = guide.next_waypoint(self._place)
             left = self._place
             # A shorter path does not advance the plan faster.
@@ -663,6 +670,7 @@ class _Performance:
                 loop.record.set_target(shown)
             step = loop.compute(target)
             if step.reason:
+                loop.refuse(step)
                 loop.brake()
             else:
                 loop.take(step)

@@ -169,7 +169,7 @@ def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Trajector
 def test_what_has_no_format_is_neither_saved_nor_loaded(
     arm: pp.Arm, motion: Trajectory, tmp_path: Path
 ) -> None:
-    with pytest.raises(InvalidValue, match=r"result is .*allowed: Run, Trajectory.*Simulation; curves"):
+    with pytest.raises(InvalidValue, match=r"result is .*allowed: Run, Trajectory.*Simulation.*; curves"):
         pp.save(arm, tmp_path / "arm")
     with pytest.raises(FileError, match="joint_trajectory"):
         pp.save(motion.run, tmp_path / "run.csv")

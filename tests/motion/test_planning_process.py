@@ -184,7 +184,7 @@ def test_a_planning_process_that_is_killed_is_replaced(arm: pp.Arm) -> None:
     goal = smooth_configuration(arm, np.random.default_rng(3), 1.0)
     tracker.update(pp.Target.from_configuration(arm, goal))
     loop.run("holding")
-    os.kill(tracker._loop.steps._process.pid, signal.SIGKILL)
+    os.kill(tracker._steps._process.pid, signal.SIGKILL)
     loop.run("converged")
 
 
@@ -193,7 +193,7 @@ def test_a_cycle_does_not_wait_for_another_process_to_start(
     arm: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
-    line = tracker._loop.steps._process._line
+    line = tracker._steps._process._line
     begun = threading.Event()
     started = line._start
     go_on = threading.Event()
@@ -204,7 +204,7 @@ def test_a_cycle_does_not_wait_for_another_process_to_start(
         started()
 
     monkeypatch.setattr(line, "_start", start)
-    os.kill(tracker._loop.steps._process.pid, signal.SIGKILL)
+    os.kill(tracker._steps._process.pid, signal.SIGKILL)
     assert begun.wait(PATIENCE)  # although no cycle asks for a plan
     goal = smooth_configuration(arm, np.random.default_rng(3), 1.0)
     tracker.update(pp.Target.from_configuration(arm, goal))
@@ -223,7 +223,7 @@ def test_a_tracker_that_plans_in_a_process_is_pickled_with_a_process_of_its_own(
     )
     tracker.step(arm.neutral())
     other = pickle.loads(pickle.dumps(tracker))
-    assert other._loop.steps._process.pid != tracker._loop.steps._process.pid
+    assert other._steps._process.pid != tracker._loop.steps._process.pid
     Loop(other, arm.neutral()).run("converged")
 
 
@@ -313,7 +313,7 @@ def test_a_plan_for_an_outdated_target_is_interrupted_but_not_the_one_after_it(a
     rng = np.random.default_rng(5)
     tracker = pp.Tracker(arm, limits=LIMITS, deadline=0.002)
     process = EndlessPlanning()
-    tracker._loop.steps._process = process
+    tracker._steps._process = process
     q = smooth_configuration(arm, rng, 1.0)
     targets = [pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 1.0)) for _ in range(3)]
     nearly = pp.Target.from_configuration(arm, arm.integrate(targets[0].q, np.full(arm.nv, 1e-4)))

@@ -88,10 +88,10 @@ def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed:
     ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, self_collision=False, margin=0.01 * length)
     around = pp.CollisionModel(arm, ball)
     first = loop.record.steps
-    loop.steps.controller = loop.steps.controller.with_scene(ball)
+    loop.controller = loop.controller.with_scene(ball)
     loop.run(progress.goal, 1e-6 * length, first + 60)
     loop.brake_to_rest()
-    run = loop.record.run(arm, loop.steps.controller, progress.limits, "stopped", "enough")
+    run = loop.record.run(arm, loop.controller, progress.limits, "stopped", "enough")
     check_output(run)
     distances = np.array([around.minimum(q).distance for q in run.q[first:]])
     closer = np.flatnonzero(distances < min(ball.margin, distances[0]) - 1e-9 * length)
@@ -161,7 +161,7 @@ def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: in
         loop.compute(pp.Target.from_configuration(arm, start))
     loop.brake()
     loop.brake_to_rest()
-    run = loop.record.run(arm, loop.steps.controller, limits, "stopped", "enough")
+    run = loop.record.run(arm, loop.controller, limits, "stopped", "enough")
     assert accelerations(arm, run.q, limits).max() <= 1.0 + 1e-9
 
 
