@@ -174,9 +174,10 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
         Joint positions (nv,) [rad or m] within the limits; None if none are found, as for measured points, or
         if a module has more than two joints.
     """
-    chain, goals = _module_search(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
-    if np.diff(chain.begins).max() > 2:
+    every = np.ones(arm.n_modules, dtype=np.bool_)
+    if not points_determine_joints(arm, every):
         return None
+    chain, goals = _module_search(arm, points, every, near)
     m = len(goals)
     found = chain.near.copy()
     samples = _joint_samples(len(chain.near))
@@ -186,6 +187,15 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
     positions = np.array(near)
     positions[arm.columns] = found
     return positions
+
+
+def points_determine_joints(arm: Arm, has_target: NDArray[np.bool_]) -> bool:
+    """Whether the points with a target, (m,), leave the joints between them only a few solutions.
+
+    At most two joints then move each point relative to the one before.
+    """
+    modules = _search_modules(arm.kinematics, tuple(np.flatnonzero(has_target).tolist()))
+    return bool(np.diff(modules.begins).max() <= 2)
 
 
 def _module_search(

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import least_squares, nnls
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.control.planner.avoidance import ConstraintRows
 from pinposture.control.planner.damped_least_squares import (
     PlanningProblem,
@@ -18,7 +19,7 @@ from pinposture.control.planner.damped_least_squares import (
     solve_posture,
 )
 from pinposture.control.planner.objective import ChainSolver, Objective
-from pinposture.control.planner.plan import find_goal
+from pinposture.control.planner.plan import find_goal, find_path
 from pinposture.control.tasks import EndEffector
 from pinposture.errors import PostureWarning
 
@@ -89,6 +90,20 @@ def test_reachable_points_are_reached(name: str) -> None:
         found = find_goal(PlanningProblem(objective, arm.at(start), edges_of(arm)), GOOD * arm.length)
         assert found.mean_error <= GOOD * arm.length
         assert arm.within_limits(found.state.q)
+
+
+@pytest.mark.parametrize("modules", [20, 60])
+@pytest.mark.parametrize("spread", [0.2, 1.0])
+def test_points_of_an_arm_give_the_configuration_that_it_has(modules: int, spread: float) -> None:
+    arm = pp.Arm.from_template("RyRz", modules)
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        start = smooth_configuration(arm, rng, 0.6)
+        goal = np.clip(start + spread * rng.normal(size=arm.nv), *edges_of(arm))
+        objective = Objective(arm, pp.Target.from_points(arm, arm.at(goal).points))
+        path = find_path(PlanningProblem(objective, arm.chain_at(start), edges_of(arm)))
+        assert np.abs(arm.at(path.configuration(path.end)).points - objective.target.points).max() < 1e-10
+        np.testing.assert_allclose(path.configuration(path.end), goal, atol=1e-9)
 
 
 def test_a_known_configuration_is_taken_as_it_is() -> None:
