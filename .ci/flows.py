@@ -169,13 +169,14 @@ def follow(flow: Callable[[Any], object], **until: Any) -> Flow:
 def follow_all() -> tuple[dict[str, Flow], dict[str, int]]:
     """What each flow runs through, and the calls of one step, of reading a task and of a cycle.
 
-    Each is done once before, so that all is imported.
+    Each is done once before, so that all is imported; only the command is not, which takes as long as all
+    others together: of it only the files count, and its imports do not.
     """
     from pinposture import kernels
     from pinposture.control import CONTROLLERS
 
     step = type(CONTROLLERS["geodesic"]()).step.__code__
-    for flow in (take_steps, take_steps_in_a_scene, load_a_task, perform_a_task, run_a_task, drag_a_point):
+    for flow in (take_steps, take_steps_in_a_scene, load_a_task, perform_a_task, drag_a_point):
         flow(Trace(Path(), until_call=None))
     kernels.load()
     note_kernels("pinposture")
