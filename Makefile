@@ -94,6 +94,11 @@ $(VENV)/base.stamp: pyproject.toml | $(VENV)/bin/python
 	$(RUN) -m pinposture compile
 	touch $@
 
+# The source is read, not run: no kernels.
+$(VENV)/lint.stamp: pyproject.toml | $(VENV)/bin/python
+	$(RUN) -m pip install --quiet --no-compile --editable '.[lint]'
+	touch $@
+
 $(VENV)/%.stamp: pyproject.toml | $(VENV)/bin/python
 	$(RUN) -m pip install --quiet --no-compile --editable '.[$*]'
 	$(RUN) -m pinposture compile

@@ -37,6 +37,9 @@ SLOW = {
 }
 """Markers of tests that the quick set leaves out."""
 
+FIRST = ("process", "browser", "site", "tutorial", "studies", "soak")
+"""Markers of the longest tests. They begin first, so that no process is left alone with one at the end."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full", action="store_true", help="every test, with many and random examples")
@@ -77,13 +80,19 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out tests that are not of the chosen set, unless one of them is asked for by its name."""
-    if config.getoption("full") or any("::" in argument for argument in config.args):
-        return
-    chosen = in_the_rest if config.getoption("rest") else in_the_quick_set
-    left_out = [item for item in items if not chosen(item)]
-    items[:] = [item for item in items if chosen(item)]
-    config.hook.pytest_deselected(items=left_out)
+    """Leave out tests that are not of the chosen set, unless one is named; long ones come first."""
+    if not config.getoption("full") and not any("::" in argument for argument in config.args):
+        chosen = in_the_rest if config.getoption("rest") else in_the_quick_set
+        left_out = [item for item in items if not chosen(item)]
+        items[:] = [item for item in items if chosen(item)]
+        config.hook.pytest_deselected(items=left_out)
+    items.sort(key=turn_of)  # those of one turn stay in their order
+
+
+def turn_of(test: pytest.Item) -> int:
+    return min(
+        (FIRST.index(mark.name) for mark in test.iter_markers() if mark.name in FIRST), default=len(FIRST)
+    )
 
 
 def in_the_quick_set(test: pytest.Item) -> bool:
