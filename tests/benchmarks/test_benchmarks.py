@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -81,13 +84,9 @@ def test_a_tiny_run_without_peers(tmp_path: Path) -> None:
 
 
 @pytest.mark.studies
-def test_planners_that_are_not_installed_are_left_out() -> None:
-    command = [sys.executable, "-m", "benchmarks.peers.clutter", "--here", "--kinds", "coil", "--seeds", "1"]
-    ran = subprocess.run(
-        [*command, "--json"], check=True, capture_output=True, text=True, timeout=120, cwd=ROOT
-    )
-    rows = json.loads(ran.stdout)
-    assert "ompl is left out: no ompl here" in ran.stderr
+def test_planners_that_are_not_installed_are_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = printed("peers.clutter", "--here", "--kinds", "coil", "--seeds", "1")
+    assert "ompl is left out: no ompl here" in capsys.readouterr().err
     assert [(row["planner"], row["solved"], row["kept_margin"]) for row in rows] == [("ours", 1, 1)]
     assert 0.0 < rows[0]["first_time"][0] <= rows[0]["time"][0]
     assert 1.0 <= rows[0]["ratio"] <= rows[0]["first_ratio"] + 1e-9
@@ -106,17 +105,19 @@ def test_a_problem_with_more_joints_has_the_same_postures() -> None:
         assert apart.max() < 0.02  # of an arm of 1 m, in steps of 25 mm
 
 
-def printed(study: str, *options: str) -> Any:
-    """What a study prints as JSON."""
-    command = [sys.executable, "-m", f"benchmarks.studies.{study}", "--json", *options]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300, cwd=ROOT)
-    return json.loads(done.stdout)
+def printed(script: str, *options: str) -> Any:
+    """What a script of the benchmarks prints as JSON."""
+    out = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out):
+        patch.setattr(sys, "argv", [script, "--json", *options])
+        assert not import_module(f"benchmarks.{script}").main()
+    return json.loads(out.getvalue())
 
 
 @pytest.mark.studies
 def test_every_problem_with_many_joints_is_solved_and_drawn(tmp_path: Path) -> None:
     plot = tmp_path / "joints.png"
-    rows = printed("obstacle_joints", "--joints", "20,40", "--draws", "1", "-o", str(plot))
+    rows = printed("studies.obstacle_joints", "--joints", "20,40", "--draws", "1", "-o", str(plot))
     assert [(row["joints"], row["boxes"]) for row in rows] == [(20, 30), (40, 30), (20, 150), (40, 150)]
     assert all(row["found"] == row["of"] == 1 for row in rows)
     assert all(0.0 < row["cycle_ms"] <= row["cycle_p99_ms"] for row in rows)
@@ -126,7 +127,10 @@ def test_every_problem_with_many_joints_is_solved_and_drawn(tmp_path: Path) -> N
 @pytest.mark.studies
 @pytest.mark.skipif(sys.platform != "linux", reason="the scheduler of Linux tells what processes did")
 def test_many_runs_use_both_processes() -> None:
-    found = printed("many_runs", "--runs", "9", "--portion", "4", "--modules", "2")
+    command = [sys.executable, "-m", "benchmarks.studies.many_runs", "--json"]  # it counts its own children
+    command += ["--runs", "9", "--portion", "4", "--modules", "2"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300, cwd=ROOT)
+    found = json.loads(done.stdout)
     assert found["reached"] == found["runs"] == 9
     assert found["processes"] == 2
     assert 0.0 < found["cores_used"] <= 2.1  # what is read one after the other may overlap a little
@@ -135,7 +139,7 @@ def test_many_runs_use_both_processes() -> None:
 
 @pytest.mark.studies
 def test_boxes_and_scans_of_them_are_equally_far() -> None:
-    boxes, points, triangles = printed("scan_obstacles", "--boxes", "5", "--items", "4000").values()
+    boxes, points, triangles = printed("studies.scan_obstacles", "--boxes", "5", "--items", "4000").values()
     assert set(boxes) == set(points) == set(triangles)
     assert triangles["clearance"] == pytest.approx(boxes["clearance"], abs=0.5)
     assert -0.5 < points["clearance"] - boxes["clearance"] < 5.0  # there is nothing between the points
@@ -187,7 +191,7 @@ def test_goals_swing_and_measurements_are_noisy_as_asked(
 
 @pytest.mark.studies
 def test_the_margin_to_a_moving_ball_is_kept() -> None:
-    found = printed("moving_obstacles", "--draws", "1", "--swing", "0.15", "--noise", "0.002")
+    found = printed("studies.moving_obstacles", "--draws", "1", "--swing", "0.15", "--noise", "0.002")
     assert (found["draws"], found["margin_kept"], found["arrived"]) == (1, 1, 1)
     assert found["smallest_distance"] > 0.0048
     assert 0.5 < found["largest_acceleration"] <= 1.0 + 1e-9
@@ -204,7 +208,7 @@ def test_what_torque_limits_cost_is_measured_on_the_same_motion() -> None:
         held = np.abs(pin.computeGeneralizedGravity(arm.model, arm.model.createData(), q)).max()
         assert 1.3 * held <= float(limited.limits.effort) * (1.0 + 1e-9)
         assert pp.CollisionModel(arm, without.scene).minimum(q).distance > 0.0
-    found = printed("torque_cost", "--draws", "1", "--modules", "3")
+    found = printed("studies.torque_cost", "--draws", "1", "--modules", "3")
     assert set(found) == set(torque_cost.WAYS)
     for each in found.values():
         assert each["median_us"] > 0.0
@@ -213,7 +217,7 @@ def test_what_torque_limits_cost_is_measured_on_the_same_motion() -> None:
 
 @pytest.mark.studies
 def test_an_arm_that_maps_its_way_into_a_box_keeps_the_margin() -> None:
-    found = printed("mapping", "--draws", "1", "--first", "7")
+    found = printed("studies.mapping", "--draws", "1", "--first", "7")
     assert (found["draws"], found["margin_kept"], found["arrived"]) == (1, 1, 1)
     assert found["smallest_distance"] > 0.01
 
@@ -221,7 +225,7 @@ def test_an_arm_that_maps_its_way_into_a_box_keeps_the_margin() -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("options", [(), ("--free", "--seed", "3")])
 def test_limits_hold_in_a_loop_where_everything_goes_wrong(options: tuple[str, ...]) -> None:
-    found = printed("soak", "--steps", "400", "--modules", "4", *options)
+    found = printed("studies.soak", "--steps", "400", "--modules", "4", *options)
     assert found["steps"] == 400 and len(found["memory [MB], ten times on the way"]) == 10
     assert found["largest speed, of its limit"] <= 1.0 + 1e-9
     hardest = found["largest acceleration that was not reported, of its limit"]
