@@ -183,7 +183,7 @@ def examples() -> dict[str, Any]:
         "positions": np.full(6, 0.1),
         "near": np.full(6, 0.1),
         "resolve_targets.near": None,
-        "edges": np.array([np.full(6, -1.0), np.full(6, 1.0)]),
+        "position_limits": np.array([np.full(6, -1.0), np.full(6, 1.0)]),
         "limits": limits,
         "scene": scene,
         "interval": 0.05,

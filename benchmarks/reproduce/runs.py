@@ -234,8 +234,8 @@ class PrintedSelection(Selection):
         strides = np.array(self.strides, dtype=np.int64)
         kernels.stride_indices(screws, arm.kinematics.task_constants.plane, strides, indices)
         usable = (base > self.absolute) & placed
-        edges = SectionEdges.of(indices, usable, self.relative, self.strides)
-        points = best_branch(edges, int(region[0]), int(region[-1]), "thesis").points
+        position_limits = SectionEdges.of(indices, usable, self.relative, self.strides)
+        points = best_branch(position_limits, int(region[0]), int(region[-1]), "thesis").points
         return np.array(points, dtype=np.int64)
 
 

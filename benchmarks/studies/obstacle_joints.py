@@ -26,7 +26,7 @@ from pinposture.arm import smooth_configuration
 from pinposture.kernels import load
 
 BOXES = {30: 0.05, 150: 0.03}
-"""Numbers of boxes, and the length of their edges [m]."""
+"""Numbers of boxes, and the length of their position_limits [m]."""
 
 MARGIN, CYCLES, MAX_DRAWS = 0.005, 60, 3000
 
@@ -40,8 +40,8 @@ def draw_scene(arm: pp.Arm, boxes: int, rng: np.random.Generator) -> pp.Scene:
     while len(obstacles) < boxes:
         center = rng.uniform(-0.8, 0.8, 3)
         if np.linalg.norm(center) > 0.25:
-            edges, turn = (BOXES[boxes],) * 3, tuple(rng.uniform(-3.0, 3.0, 3))
-            obstacles[f"box {len(obstacles) + 1}"] = pp.Box(tuple(center), edges, turn)
+            position_limits, turn = (BOXES[boxes],) * 3, tuple(rng.uniform(-3.0, 3.0, 3))
+            obstacles[f"box {len(obstacles) + 1}"] = pp.Box(tuple(center), position_limits, turn)
     return pp.Scene(obstacles, self_collision=False, margin=MARGIN, arm_radius=0.01)
 
 

@@ -74,7 +74,8 @@ def repair_path(seed: int, problem: Problem, controller: Controller) -> Row:
     began = perf_counter()
     avoidance = Avoidance.of(cut, before.objective, bounds)
     path = repair(
-        PlanningProblem(before.objective, state.chain_state, bounds.edges, avoidance), before.offsets
+        PlanningProblem(before.objective, state.chain_state, bounds.position_limits, avoidance),
+        before.offsets,
     )
     repaired_at = perf_counter()
     planned = plan(state, target, cut, RUN_LIMITS)

@@ -771,7 +771,7 @@ class Arm(ConfigurationSpace):
         return np.asarray(room & alone & ~self.slides & ~self.kinematics.endless)
 
     def nearest_turns(
-        self, q: ArrayLike, near: ArrayLike | None = None, edges: ArrayLike | None = None
+        self, q: ArrayLike, near: ArrayLike | None = None, position_limits: ArrayLike | None = None
     ) -> Array:
         """Shift joints by full turns, which keeps the posture, to within half a turn of a reference.
 
@@ -780,7 +780,7 @@ class Arm(ConfigurationSpace):
         Args:
             q: configuration, (nq,).
             near: reference configuration, (nq,); the straight one if None.
-            edges: joint positions to stay between, (2, nv) [rad or m]; the limits of the arm if None.
+            position_limits: joint positions to stay between, (2, nv) [rad or m]; those of the arm if None.
 
         Returns:
             Configuration (nq,).
@@ -790,7 +790,9 @@ class Arm(ConfigurationSpace):
         """
         checked = self.checked(q)
         preferred = None if near is None else self.checked(near, "near")
-        return nearest_turns(self, checked, preferred, None if edges is None else np.asarray(edges))
+        return nearest_turns(
+            self, checked, preferred, None if position_limits is None else np.asarray(position_limits)
+        )
 
     def with_characteristic_length(self, characteristic_length: float) -> Arm:
         """Return the same arm with another sliding distance equivalent to one radian [m].
@@ -1659,7 +1661,7 @@ def check_range(arm: Arm, q: Array, name: str) -> None:
         arm.check_positions(positions, name)
 
 
-def nearest_turns(arm: Arm, q: Array, near: Array | None, edges: Array | None) -> Array:
+def nearest_turns(arm: Arm, q: Array, near: Array | None, position_limits: Array | None) -> Array:
     """Return a configuration, (nq,), with joints shifted by full turns; see `Arm.nearest_turns`."""
     multi_turn = arm.multi_turn
     if not np.any(multi_turn):
@@ -1667,7 +1669,7 @@ def nearest_turns(arm: Arm, q: Array, near: Array | None, edges: Array | None) -
     positions = arm.difference(arm.origin, q)
     turn = 2.0 * np.pi
     preferred = arm._stretched if near is None else arm.difference(arm.origin, near)
-    lower, upper = (arm.limits.lower, arm.limits.upper) if edges is None else edges
+    lower, upper = (arm.limits.lower, arm.limits.upper) if position_limits is None else position_limits
     away = (preferred - positions) / turn
     turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - TURN_TOLERANCE)
     least = np.ceil((lower - positions) / turn - TURN_TOLERANCE)

@@ -4,7 +4,7 @@ from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Controller, Memory, Step
 from pinposture.control.hold import Hold, Support, assess_hold, assess_support
 from pinposture.control.joint_interpolation import JointInterpolation
-from pinposture.control.limits import Limits, StepBox
+from pinposture.control.limits import Limits, StepBounds
 from pinposture.control.planner.follow import GeodesicMemory, PathProgress, follow
 from pinposture.control.planner.geodesic import Geodesic
 from pinposture.control.planner.objective import Objective
@@ -43,7 +43,7 @@ __all__ = [
     "SectionTree",
     "Selection",
     "Step",
-    "StepBox",
+    "StepBounds",
     "Support",
     "Switching",
     "Tangents",

@@ -52,7 +52,7 @@ class Constraint(Protocol):
         """
 
 
-class Sides(NamedTuple):
+class Inequalities(NamedTuple):
     """Constraints at a state, one finite bound after the other: matrix @ dq >= -room.
 
     Attributes:
@@ -65,9 +65,9 @@ class Sides(NamedTuple):
     room: Array
     names: tuple[str, ...]
 
-    def joined(self, other: Sides) -> Sides:
+    def joined(self, other: Inequalities) -> Inequalities:
         """Return both together."""
-        return Sides(
+        return Inequalities(
             np.concatenate([self.matrix, other.matrix]),
             np.concatenate([self.room, other.room]),
             self.names + other.names,
@@ -88,7 +88,7 @@ def check_constraints(constraints: Sequence[Constraint]) -> None:
             raise InvalidValue("constraints", constraint, allowed)
 
 
-def sides_of(constraints: Sequence[Constraint], state: ArmState) -> Sides:
+def inequalities_of(constraints: Sequence[Constraint], state: ArmState) -> Inequalities:
     """Evaluate constraints at a state.
 
     Raises:
@@ -106,13 +106,13 @@ def sides_of(constraints: Sequence[Constraint], state: ArmState) -> Sides:
             matrices.append(sign * matrix[finite])
             rooms.append(bound[finite])
             names += [name] * int(finite.sum())
-    return Sides(np.concatenate(matrices), np.concatenate(rooms), tuple(names))
+    return Inequalities(np.concatenate(matrices), np.concatenate(rooms), tuple(names))
 
 
-def describe_violated(sides: Sides, length: float) -> tuple[str, ...]:
+def describe_violated(inequalities: Inequalities, length: float) -> tuple[str, ...]:
     """Return a message for each constraint of an arm of a length [m] that is violated."""
     worst: dict[str, float] = {}
-    for name, room in zip(sides.names, sides.room.tolist(), strict=True):
+    for name, room in zip(inequalities.names, inequalities.room.tolist(), strict=True):
         if -room > VIOLATION_ROUNDING * length:
             worst[name] = max(worst.get(name, 0.0), -room)
     return tuple(f"constraint: {name} is violated by {length_text(by)}" for name, by in worst.items())

@@ -57,7 +57,7 @@ class JointBounds:
     Attributes:
         bound: largest |dq|, (nv,) [rad or m]; infinite where there is no limit.
         travel: joint travel per step, median over the joints, at most `USUAL_STEP` [rad].
-        edges: position limits with the margin, (2, nv) [rad or m].
+        position_limits: position limits with the margin, (2, nv) [rad or m].
         brake: largest change of dq between steps of a controller, (nv,) [rad or m]; None: no limit. It is
             `acceleration`, or less with a jerk limit (`JerkFilter`).
         units: unit of motion of each joint of the chain, (n,) [rad or m].
@@ -72,7 +72,7 @@ class JointBounds:
 
     bound: Array
     travel: float
-    edges: Array
+    position_limits: Array
     brake: Array | None
     units: Array
     slack: Array
@@ -84,7 +84,7 @@ class JointBounds:
     @cached_property
     def arrays(self) -> LimitArrays:
         """The limits of a step, for kernels."""
-        return LimitArrays(self.units, self.slack, self.edges, self.bound)
+        return LimitArrays(self.units, self.slack, self.position_limits, self.bound)
 
     @cached_property
     def braking(self) -> Array:
@@ -95,14 +95,14 @@ class JointBounds:
         """Return the previous step for kernels, (nv,) [rad or m]; empty where it does not matter.
 
         Args:
-            previous: as in `box`.
+            previous: as in `step_bounds`.
         """
         if self.brake is None:
             return _NO_BOUND
         return np.zeros(len(self.bound)) if previous is None else np.array(previous, dtype=np.float64)
 
-    def box(self, state: ArmState, previous: Array | None) -> StepBox:
-        """Return the steps that the limits allow; see `Limits.box`.
+    def step_bounds(self, state: ArmState, previous: Array | None) -> StepBounds:
+        """Return the steps that the limits allow; see `Limits.step_bounds`.
 
         Args:
             state: a state of the arm of these limits.
@@ -111,24 +111,24 @@ class JointBounds:
         arm = state.arm
         positions = state.raw_positions
         before = self.before(previous)
-        sides = np.empty((2, arm.nv))
-        found = kernels.step_box(
+        both = np.empty((2, arm.nv))
+        broken = kernels.step_box(
             positions,
-            self.edges,
+            self.position_limits,
             self.bound,
             self.braking,
             before,
             LIMIT_ROUNDING,
             arm.kinematics.columns,
             self.slack,
-            sides,
+            both,
         )
         relaxed: tuple[str, ...] = ()
-        if found % 2:
+        if broken % 2:
             relaxed = violated_limits(
-                arm, positions, self.edges, self.bound, self.braking, before, LIMIT_ROUNDING
+                arm, positions, self.position_limits, self.bound, self.braking, before, LIMIT_ROUNDING
             )
-        return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
+        return StepBounds(both[0], both[1], relaxed, broken >= 2, both)
 
 
 def joint_bounds(
@@ -160,11 +160,13 @@ def joint_bounds(
             if jerk is not None:
                 change_of_change = np.maximum(_per_joint("jerk", jerk, arm) * dt**3, 1e-100)
                 brake = _smoothable(arm, change, change_of_change)
-    edges = _edges(arm, position_margin)
+    position_limits = _position_limits(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
     slack = POSITION_SLACK * units
-    return JointBounds(bound, travel, edges, brake, units, slack, dt, change, change_of_change, None)
+    return JointBounds(
+        bound, travel, position_limits, brake, units, slack, dt, change, change_of_change, None
+    )
 
 
 def _effort_of(arm: Arm, effort: bool | float | Array) -> Array:
@@ -184,7 +186,7 @@ def _effort_of(arm: Arm, effort: bool | float | Array) -> Array:
     return arm.effort
 
 
-def _edges(arm: Arm, margin: float) -> Array:
+def _position_limits(arm: Arm, margin: float) -> Array:
     limits = arm.limits
     moved = arm.moved > 0.0
     # Joints that move no control point stay where they are.
@@ -300,14 +302,20 @@ def full_braking(previous: Array, brake: Array) -> Array:
 
 
 def violated_limits(
-    arm: Arm, positions: Array, edges: Array, bound: Array, brake: Array, previous: Array, rounding: float
+    arm: Arm,
+    positions: Array,
+    position_limits: Array,
+    bound: Array,
+    brake: Array,
+    previous: Array,
+    rounding: float,
 ) -> tuple[str, ...]:
-    """Name each limit that is relaxed in a step, by joint; see `Limits.box` for the order.
+    """Name each limit that is relaxed in a step, by joint; see `Limits.step_bounds` for the order.
 
     Args:
         arm: the arm.
         positions: joint positions, (nv,) [rad or m].
-        edges: joint positions to stay between, (2, nv) [rad or m].
+        position_limits: joint positions to stay between, (2, nv) [rad or m].
         bound: largest |dq|, (nv,) [rad or m].
         brake: largest change of dq between steps, (nv,) [rad or m]; empty: no limit.
         previous: the previous step, (nv,) [rad or m]; empty without a limit on its change.
@@ -315,25 +323,25 @@ def violated_limits(
     """
     words = []
     names = arm.joint_names
-    sides = edges - positions
+    steps = position_limits - positions
     slowest = np.zeros(arm.nv)
     if len(brake):
-        sides = farthest(sides, brake)
+        steps = farthest(steps, brake)
         slowest = full_braking(previous, brake)
-    above = np.minimum(sides[1], bound) - np.maximum(slowest, 0.0)
-    below = np.minimum(slowest, 0.0) - np.maximum(sides[0], -bound)
+    above = np.minimum(steps[1], bound) - np.maximum(slowest, 0.0)
+    below = np.minimum(slowest, 0.0) - np.maximum(steps[0], -bound)
     taken = np.clip(slowest, -bound, bound)
     for joint in np.flatnonzero(np.minimum(above, below) < -rounding):
         name = names[joint]
         unit = "m" if arm.slides[joint] else "rad"
         at = positions[joint]
-        low, high = edges[:, joint]
+        low, high = position_limits[:, joint]
         step = taken[joint]
         if not low - rounding <= at <= high + rounding:
             allowed = f"{low:.4g} to {high:.4g} {unit}"
             words.append(f"position limit: joint {name!r} is at {at:.4g}, outside {allowed}")
-        elif max(step - sides[1, joint], sides[0, joint] - step) > rounding:
-            edge, most = (high, sides[1, joint]) if step > 0.0 else (low, -sides[0, joint])
+        elif max(step - steps[1, joint], steps[0, joint] - step) > rounding:
+            edge, most = (high, steps[1, joint]) if step > 0.0 else (low, -steps[0, joint])
             words.append(
                 f"position limit: joint {name!r} at {at:.4g} is too fast to stop before {edge:.4g} {unit}; "
                 f"its smallest step is {abs(step):.4g}, and it can stop from at most {most:.4g}"
@@ -350,22 +358,22 @@ LIMIT_ROUNDING = 1e-9
 """Excess over a limit that is attributed to rounding [rad or m]."""
 
 
-class StepBox(NamedTuple):
+class StepBounds(NamedTuple):
     """The steps that the limits allow: all dq with lower <= dq <= upper; never empty.
 
     Attributes:
         lower: smallest joint displacement, (nv,) [rad or m].
         upper: largest joint displacement, (nv,) [rad or m].
-        violated_constraints: messages naming the limits that can no longer be kept; see `Limits.box`.
+        violated_constraints: messages naming the limits that can no longer be kept; see `Limits.step_bounds`.
         outside: whether a joint of the chain is outside its position limits by more than its slack.
-        sides: lower and upper, (2, nv), for kernels.
+        both: lower and upper, (2, nv), for kernels.
     """
 
     lower: Array
     upper: Array
     violated_constraints: tuple[str, ...]
     outside: bool
-    sides: Array
+    both: Array
 
 
 class LimitedStep(NamedTuple):
@@ -567,7 +575,7 @@ class Limits(Declared):
         """Return the joint travel that a step may cover, median over joints, at most `USUAL_STEP` [rad]."""
         return self.for_arm(arm_of(state)).travel
 
-    def box(self, state: ArmState, previous: Array | None = None) -> StepBox:
+    def step_bounds(self, state: ArmState, previous: Array | None = None) -> StepBounds:
         """Return the steps after which each joint keeps its limits and can continue to keep them.
 
         After such a step a joint can still stop before its position limit; `control.limits` has the
@@ -591,7 +599,7 @@ class Limits(Declared):
             InvalidValue: the limits or the previous step do not fit the arm.
         """
         arm = arm_of(state)
-        return self.for_arm(arm).box(state, _checked_step(previous, arm))
+        return self.for_arm(arm).step_bounds(state, _checked_step(previous, arm))
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
         """Scale a step to meet the step limit, then clip it at the position limits.
@@ -600,7 +608,7 @@ class Limits(Declared):
 
         With an acceleration limit, the requested step is the distance that each joint has to travel. A joint
         moves no faster than it can stop at the end of it, so that it does not oscillate about its goal. The
-        step is then clipped to the `box`.
+        step is then clipped to the `step_bounds`.
 
         Args:
             state: the state of the arm.
@@ -614,7 +622,14 @@ class Limits(Declared):
         cut = np.empty(arm.nv)
         clipped = np.empty(arm.nv, dtype=np.bool_)
         scale = kernels.shorten_step(
-            dq, state.raw_positions, bounds.edges, bounds.bound, bounds.braking, before, cut, clipped
+            dq,
+            state.raw_positions,
+            bounds.position_limits,
+            bounds.bound,
+            bounds.braking,
+            before,
+            cut,
+            clipped,
         )
         return LimitedStep(cut, scale, clipped)
 

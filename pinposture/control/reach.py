@@ -488,7 +488,7 @@ class _Search:
         self.model = None if scene is None else CollisionModel(arm, scene)
         self.margin = 0.0 if scene is None else scene.margin
         bounds = limits.for_arm(arm)
-        self.edges = bounds.edges
+        self.position_limits = bounds.position_limits
         self.torque_limits = None if bounds.effort is None else TorqueLimits(arm, bounds.effort)
         self.torques = self.torque_limits
         if objective != "torque":
@@ -496,7 +496,7 @@ class _Search:
         elif self.torques is None:
             self.torques = TorqueLimits(arm, arm.effort)
         columns = arm.columns
-        self.columns = columns[self.edges[1, columns] > self.edges[0, columns]]
+        self.columns = columns[self.position_limits[1, columns] > self.position_limits[0, columns]]
         self.units = arm.joint_units[self.columns]
         self.target = Target.from_configuration(arm, arm.straight())  # required, but unused by the task
 
@@ -608,11 +608,11 @@ class _Search:
         few = len(self.columns) <= SEARCH.few_joints
         here = arm.positions(arm.neutral() if start is None else start)
         if first and start is not None:
-            yield arm.configuration(np.where(arm.moved > 0.0, np.clip(here, *self.edges), here))
+            yield arm.configuration(np.where(arm.moved > 0.0, np.clip(here, *self.position_limits), here))
         for _ in range(SEARCH.seeds_per_wave):
             amplitude = rng.uniform(*SEARCH.seed_amplitudes)
             q = arm.random(rng) if few else smooth_configuration(arm, rng, amplitude)
-            drawn = np.clip(arm.positions(q), *self.edges)
+            drawn = np.clip(arm.positions(q), *self.position_limits)
             yield arm.configuration(np.where(arm.moved > 0.0, drawn, here))
 
     def rows(self, state: ChainState, clearance: float | None) -> _Rows:
@@ -628,10 +628,10 @@ class _Search:
             matrix = np.concatenate([matrix, near.jacobian])
             errors = np.concatenate([errors, clearance - near.distances])
         if clearance is not None and self.torque_limits is not None:
-            sides = self.torque_limits.sides(state)
-            tight = sides.room < clearance
-            matrix = np.concatenate([matrix, sides.matrix[tight]])
-            errors = np.concatenate([errors, clearance - sides.room[tight]])
+            inequalities = self.torque_limits.inequalities(state)
+            tight = inequalities.room < clearance
+            matrix = np.concatenate([matrix, inequalities.matrix[tight]])
+            errors = np.concatenate([errors, clearance - inequalities.room[tight]])
         return _Rows(matrix[:, self.columns] * self.units, errors, len(tip.error))
 
     def _settle(self, state: ChainState, clearance: float | None, iterations: int) -> ChainState:
@@ -644,7 +644,7 @@ class _Search:
         return np.asarray(np.clip(scale * x, lower, upper))
 
     def room(self, state: ChainState) -> tuple[Array, Array]:
-        lower, upper = ((edge[self.columns] - state.positions[self.columns]) for edge in self.edges)
+        lower, upper = ((edge[self.columns] - state.positions[self.columns]) for edge in self.position_limits)
         return np.minimum(lower, 0.0) / self.units, np.maximum(upper, 0.0) / self.units
 
     def moved(self, state: ChainState, x: Array) -> ChainState:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ChainState, JointLoad
 from pinposture.arm.weight import heaviest_load
-from pinposture.control.constraint import VIOLATION_ROUNDING, Sides
+from pinposture.control.constraint import VIOLATION_ROUNDING, Inequalities
 from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, farthest, stopping_steps
 from pinposture.errors import InvalidValue
 
@@ -110,13 +110,13 @@ class TorqueLimits:
     def _names(self) -> tuple[str, ...]:
         return tuple(f"torque of joint {self._arm.drives[joint].joint!r}" for joint in self._limited)
 
-    def sides(self, state: ChainState) -> Sides:
+    def inequalities(self, state: ChainState) -> Inequalities:
         """Return both bounds of each torque at a state."""
         shares, gradient = self.shares(state)
         torques = self._length * shares
         gradient = self._length * gradient
         room = self._length - np.concatenate([torques, -torques])
-        return Sides(np.concatenate([-gradient, gradient]), room, self._names + self._names)
+        return Inequalities(np.concatenate([-gradient, gradient]), room, self._names + self._names)
 
     def shares(self, state: ChainState) -> tuple[Array, Array]:
         """Return each limited torque at a state, relative to its limit, (r,), and its gradient, (r, nv)."""
@@ -250,12 +250,12 @@ class StepTorques:
         bounds = self._bounds
         if bounds.brake is None:
             return None
-        return stopping_steps(bounds.edges - start, moving, bounds.bound, bounds.brake)
+        return stopping_steps(bounds.position_limits - start, moving, bounds.bound, bounds.brake)
 
     def _even_stop(self, start: Array, moving: Array) -> Array:
         """Return the steps of an even stop within the torque limits of its first posture."""
         count = np.ceil(1.0 / self._slowing(start, moving))
-        low, high = self._bounds.edges - start
+        low, high = self._bounds.position_limits - start
         room = np.where(moving > 0.0, high, -low)
         with np.errstate(divide="ignore", invalid="ignore"):
             most = np.floor(1.0 + 2.0 * room / np.abs(moving))
@@ -274,7 +274,7 @@ class StepTorques:
 
     def _leaves_limits(self, start: Array, moving: Array, steps: Array) -> bool:
         """Whether the steps of a stop exceed limits of acceleration, or lead out of those of positions."""
-        low, high = self._bounds.edges - start
+        low, high = self._bounds.position_limits - start
         away = steps.sum(axis=0)
         outside = np.any(
             (away < np.minimum(low, 0.0) - LIMIT_ROUNDING) | (away > np.maximum(high, 0.0) + LIMIT_ROUNDING)

@@ -169,13 +169,13 @@ class LimitArrays(NamedTuple):
     Attributes:
         units: unit of motion of each joint of the chain, (n,) [rad or m].
         slack: excess over a position limit beyond which a joint is brought back, (n,) [rad or m].
-        edges: position limits, (2, nv) [rad or m].
+        position_limits: smallest and largest positions, (2, nv) [rad or m].
         bound: largest step of each joint, (nv,) [rad or m].
     """
 
     units: Array1
     slack: Array1
-    edges: Array2
+    position_limits: Array2
     bound: Array1
 
 
@@ -649,7 +649,7 @@ class PostureProblem(NamedTuple):
         chain: the arm.
         joints: joints that may move, by index along the chain, (n,); increasing.
         units: unit motion of each of them, (n,) [rad or m].
-        edges: their position limits, (2, n).
+        position_limits: their smallest and largest positions, (2, n).
         indices: control points with a target, (p,); increasing.
         ends: number of the joints that carry each of these, (p,).
         targets: their target positions, (p, 3).
@@ -661,7 +661,7 @@ class PostureProblem(NamedTuple):
     chain: ArmArrays
     joints: Ints1
     units: Array1
-    edges: Array2
+    position_limits: Array2
     indices: Ints1
     ends: Ints1
     targets: Array2

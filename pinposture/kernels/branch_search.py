@@ -615,7 +615,7 @@ def minimise_posture_errors(
     Returns:
         The sum of squares and the mean error at the end.
     """
-    chain, joints, units, edges, indices, ends, targets, weights, chords, normal = problem
+    chain, joints, units, position_limits, indices, ends, targets, weights, chords, normal = problem
     n = len(joints)
     p = len(indices)
     m = len(chain.ends)
@@ -633,7 +633,7 @@ def minimise_posture_errors(
     damping = np.empty(n)
     lower = np.empty(n)
     upper = np.empty(n)
-    sides = np.zeros(n, dtype=np.int8)
+    at_bound = np.zeros(n, dtype=np.int8)
     factor = 1.0
     idle = 0
     squares = np.inf
@@ -663,8 +663,8 @@ def minimise_posture_errors(
             stiff = max(stiffness(objective), settings.least_stiffness)
             for u in range(n):
                 here = positions[columns[joints[u]]]
-                lower[u] = min(max((edges[0, u] - here) / units[u], -settings.largest_step), 0.0)
-                upper[u] = max(min((edges[1, u] - here) / units[u], settings.largest_step), 0.0)
+                lower[u] = min(max((position_limits[0, u] - here) / units[u], -settings.largest_step), 0.0)
+                upper[u] = max(min((position_limits[1, u] - here) / units[u], settings.largest_step), 0.0)
         else:
             factor *= settings.increase
             idle += factor > settings.most_factor
@@ -672,8 +672,8 @@ def minimise_posture_errors(
             break
         varied = settings.damping_share * scale**2 * squares + settings.stiffness_share * stiff
         damping[:] = factor * varied + settings.least_damping * stiff
-        sides[:] = 0
-        minimise_in_box(objective, wanted, damping, centre, lower, upper, sides, x)
+        at_bound[:] = 0
+        minimise_in_box(objective, wanted, damping, centre, lower, upper, at_bound, x)
         for u in range(n):
             j = columns[joints[u]]
             tried[j] = positions[j] + x[u] * units[u]

@@ -789,7 +789,7 @@ def minimise_in_box(
     centre: Array1,
     lower: Array1,
     upper: Array1,
-    sides: Bytes1,
+    at_bound: Bytes1,
     x: Array1,
 ) -> int:
     """Minimise the objective within a box.
@@ -801,8 +801,8 @@ def minimise_in_box(
         centre: z, (n,).
         lower: smallest x, (n,).
         upper: largest x, (n,).
-        sides: initial active set: -1 at the lower bound, 1 at the upper, else 0; filled with the final one,
-            (n,).
+        at_bound: initial active set, (n,): -1 at the lower bound, 1 at the upper, else 0; filled with the
+            final one.
         x: filled with the minimum, (n,).
 
     Returns:
@@ -821,10 +821,10 @@ def minimise_in_box(
         for _ in range(BOX_SOLVER.set_changes):
             any_held = False
             for u in range(n):
-                held[u] = sides[u] != 0 or _is_fixed(lower[u], upper[u])
+                held[u] = at_bound[u] != 0 or _is_fixed(lower[u], upper[u])
                 any_held = any_held or held[u]
                 if held[u]:
-                    x[u] = upper[u] if sides[u] > 0 else lower[u]
+                    x[u] = upper[u] if at_bound[u] > 0 else lower[u]
             factor(objective, damping, held, gains)
             solve_factored(problem, held, gains, x)
             solved += 1
@@ -837,19 +837,19 @@ def minimise_in_box(
                 side = 0
                 inverse = gains[u, 10]
                 if held[u]:  # stays held unless it would move inwards by more than rounding error
-                    if -slope[u] * inverse * sides[u] >= -BOX_SOLVER.rounding:
-                        side = sides[u]
+                    if -slope[u] * inverse * at_bound[u] >= -BOX_SOLVER.rounding:
+                        side = at_bound[u]
                 elif x[u] < lower[u] - BOX_SOLVER.rounding:
                     side = -1
                 elif x[u] > upper[u] + BOX_SOLVER.rounding:
                     side = 1
-                converged = converged and side == sides[u]
-                sides[u] = side
+                converged = converged and side == at_bound[u]
+                at_bound[u] = side
             if converged:
                 _clip(x, lower, upper)
                 return solved
         if attempt == 0:
-            solved += _interior_point(problem, lower, upper, sides, x, gains)
+            solved += _interior_point(problem, lower, upper, at_bound, x, gains)
             for u in range(n):
                 interior[u] = x[u]
     # It cycled again: take the better result.
@@ -880,16 +880,16 @@ def _clip(x: Array1, lower: Array1, upper: Array1) -> None:
 
 @subkernel
 def _interior_point(
-    problem: ChainProblem, lower: Array1, upper: Array1, sides: Bytes1, x: Array1, gains: Array2
+    problem: ChainProblem, lower: Array1, upper: Array1, at_bound: Bytes1, x: Array1, gains: Array2
 ) -> int:
-    """Fill x with a point near the minimum by an interior point method, and `sides` with an active set."""
+    """Fill x with a point near the minimum by an interior point method, and `at_bound` with an active set."""
     objective, errors, damping, centre = problem
     n = len(objective.screws)
     m = len(objective.ends)
     slope = np.empty(n)
     missed = np.empty((m, 6))
     held = np.zeros(n, dtype=np.bool_)
-    # multipliers of the sides
+    # multipliers of the bounds
     low = np.zeros(n)
     high = np.zeros(n)
     stiff = np.empty(n)
@@ -997,11 +997,11 @@ def _interior_point(
                 low[u] += BOX_SOLVER.share_to_boundary * reach * downs[u]
                 high[u] += BOX_SOLVER.share_to_boundary * reach * ups[u]
     for u in range(n):
-        sides[u] = 0
+        at_bound[u] = 0
         if not held[u] and gains[u, 10] * low[u] > 0.5 * (x[u] - lower[u]):
-            sides[u] = -1
+            at_bound[u] = -1
         elif not held[u] and gains[u, 10] * high[u] > 0.5 * (upper[u] - x[u]):
-            sides[u] = 1
+            at_bound[u] = 1
     return iterations
 
 

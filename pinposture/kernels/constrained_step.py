@@ -80,11 +80,11 @@ def minimise_with_rows(
     """
     n = len(x)
     count = len(rows)
-    sides = np.zeros(n, dtype=np.int8)
+    at_bound = np.zeros(n, dtype=np.int8)
     box = (lower, upper)
     centre = problem[3]
     for u in range(n):
-        sides[u] = 1 if centre[u] > upper[u] else (-1 if centre[u] < lower[u] else 0)
+        at_bound[u] = 1 if centre[u] > upper[u] else (-1 if centre[u] < lower[u] else 0)
     multipliers = np.zeros(count)
     change = np.empty(count)
     tried = np.empty(count)
@@ -94,7 +94,7 @@ def minimise_with_rows(
     yielding = np.empty((count, n))
     give = ROW_SOLVER.give * _find_alone(problem, box, rows) if violable else 0.0
     active[:] = False
-    value = _minimise_given(problem, box, rows, least, give, multipliers, sides, x, missing)
+    value = _minimise_given(problem, box, rows, least, give, multipliers, at_bound, x, missing)
     for _ in range(ROW_SOLVER.steps):
         counting = 0
         settled = True
@@ -107,7 +107,7 @@ def minimise_with_rows(
             for row in range(count):
                 active[row] = multipliers[row] > 0.0
             return True
-        schur, alone = _find_schur(problem, box, rows, which[:counting], sides, yielding)
+        schur, alone = _find_schur(problem, box, rows, which[:counting], at_bound, yielding)
         for k in range(counting):
             schur[k, k] += give
         better = False
@@ -119,7 +119,7 @@ def minimise_with_rows(
             for _ in range(ROW_SOLVER.halvings):
                 for row in range(count):
                     tried[row] = max(multipliers[row] + share * change[row], 0.0)
-                found = _minimise_given(problem, box, rows, least, give, tried, sides, x, missing)
+                found = _minimise_given(problem, box, rows, least, give, tried, at_bound, x, missing)
                 gain = found - value + 1e-14 * abs(value)
                 better = expected >= 0.0 and gain >= ROW_SOLVER.share_of_gain * share * expected
                 if better:
@@ -142,7 +142,7 @@ def _minimise_given(
     least: Array1,
     give: float,
     multipliers: Array1,
-    sides: Bytes1,
+    at_bound: Bytes1,
     x: Array1,
     missing: Array1,
 ) -> float:
@@ -154,7 +154,7 @@ def _minimise_given(
         if multipliers[row] > 0.0:
             for u in range(n):
                 pushed[u] += multipliers[row] * rows[row, u] / damping[u]
-    minimise_in_box(objective, errors, damping, pushed, box[0], box[1], sides, x)
+    minimise_in_box(objective, errors, damping, pushed, box[0], box[1], at_bound, x)
     value = evaluate_gradient(problem, x, pushed, np.empty((len(errors), 6)))
     for row in range(len(rows)):
         missing[row] = least[row] - give * multipliers[row]
@@ -187,7 +187,7 @@ def _find_schur(
     box: tuple[Array1, Array1],
     rows: Array2,
     which: Ints1,
-    sides: Bytes1,
+    at_bound: Bytes1,
     yielding: Array2,
 ) -> tuple[Array2, Array1]:
     """Return the Schur complement of rows, (c, c), and their compliance if joints move one by one, (c,).
@@ -204,7 +204,7 @@ def _find_schur(
     schur = np.zeros((count, count))
     alone = np.zeros(count)
     for u in range(n):
-        held[u] = sides[u] != 0 or not box[1][u] > box[0][u]
+        held[u] = at_bound[u] != 0 or not box[1][u] > box[0][u]
     factor(objective, damping, held, gains)
     for k in range(count):
         for u in range(n):

@@ -490,7 +490,7 @@ def stoppable_steps(rooms: Array2, brake: Array1, filled: Array2) -> None:
 @compiled
 def step_box(
     positions: Array1,
-    edges: Array2,
+    position_limits: Array2,
     bound: Array1,
     brake: Array1,
     previous: Array1,
@@ -503,7 +503,7 @@ def step_box(
 
     Args:
         positions: joint positions, (nv,).
-        edges: position limits, (2, nv).
+        position_limits: position limits, (2, nv).
         bound: largest |dq|, (nv,).
         brake: largest change of dq between steps, (nv,); empty for no limit.
         previous: the previous step, (nv,); empty without `brake`.
@@ -517,8 +517,8 @@ def step_box(
     """
     found = 0
     for u in range(len(positions)):
-        low = edges[0, u] - positions[u]
-        high = edges[1, u] - positions[u]
+        low = position_limits[0, u] - positions[u]
+        high = position_limits[1, u] - positions[u]
         slowest_point = 0.0
         smallest = low
         largest = high
@@ -537,7 +537,7 @@ def step_box(
             found = UNMET_LIMITS
     for i in range(len(columns)):
         u = columns[i]
-        if positions[u] < edges[0, u] - slack[i] or positions[u] > edges[1, u] + slack[i]:
+        if positions[u] < position_limits[0, u] - slack[i] or positions[u] > position_limits[1, u] + slack[i]:
             return found + OUTSIDE_LIMITS
     return found
 
@@ -546,7 +546,7 @@ def step_box(
 def shorten_step(
     dq: Array1,
     positions: Array1,
-    edges: Array2,
+    position_limits: Array2,
     bound: Array1,
     brake: Array1,
     previous: Array1,
@@ -566,8 +566,8 @@ def shorten_step(
         most = max(most, abs(dq[u]) / bound[u])
     scale = 1.0 / most
     for u in range(len(dq)):
-        low = edges[0, u] - positions[u]
-        high = edges[1, u] - positions[u]
+        low = position_limits[0, u] - positions[u]
+        high = position_limits[1, u] - positions[u]
         if len(brake):
             low = _stoppable_step(low, brake[u])
             high = _stoppable_step(high, brake[u])
@@ -601,12 +601,12 @@ def joint_distance(one: Array1, other: Array1, endless: Flags1, columns: Ints1, 
 
 
 @compiled
-def position_excess(positions: Array1, edges: Array2, columns: Ints1) -> float:
+def position_excess(positions: Array1, position_limits: Array2, columns: Ints1) -> float:
     """Return the largest excess of joints over their position limits, (2, nv); 0 if there is none."""
     largest = 0.0
     for i in range(len(columns)):
         u = columns[i]
-        largest = max(largest, edges[0, u] - positions[u], positions[u] - edges[1, u])
+        largest = max(largest, position_limits[0, u] - positions[u], positions[u] - position_limits[1, u])
     return largest
 
 
@@ -802,7 +802,7 @@ def look_ahead(
     positions: Array1,
     units: Array1,
     limits: Array2,
-    edges: Array2,
+    position_limits: Array2,
     points: Array2,
     targets: Array2,
     has_target: Flags1,
@@ -817,7 +817,7 @@ def look_ahead(
         positions: current joint positions, (nv,).
         units: unit of motion of each degree of freedom of the chain, (n,).
         limits: smallest and largest step, (2, nv).
-        edges: position limits, (2, nv).
+        position_limits: position limits, (2, nv).
         points: current control points, (m, 3).
         targets: their targets, (m, 3).
         has_target: which of them have a target, (m,).
@@ -839,7 +839,9 @@ def look_ahead(
         dq[u] = min(max(dq[u], limits[0, u]), limits[1, u])
         reached[u] = positions[u] + dq[u]
         slack = STEP_ROUNDING * units[k]
-        at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
+        at_limit[u] = (
+            min(abs(position_limits[0, u] - reached[u]), abs(position_limits[1, u] - reached[u])) <= slack
+        )
     joint_axes = np.empty((n, 3))
     joint_origins = np.empty((n, 3))
     trial = np.empty((m, 3))
@@ -907,7 +909,7 @@ def advance(
     for i in range(len(found.places)):
         outside = step_box(
             here,
-            limits.edges,
+            limits.position_limits,
             limits.bound,
             motion.brake,
             previous,
@@ -962,7 +964,7 @@ def advance(
             here,
             limits.units,
             box,
-            limits.edges,
+            limits.position_limits,
             points,
             goals.targets,
             goals.flags,
@@ -1019,7 +1021,7 @@ def step_to(
     box = np.empty((2, len(positions)))
     columns = chain.inputs
     outside = step_box(
-        positions, limits.edges, limits.bound, none, none, rounding, columns, limits.slack, box
+        positions, limits.position_limits, limits.bound, none, none, rounding, columns, limits.slack, box
     )
     if outside != 0:
         return False, 0.0, 0.0
@@ -1039,7 +1041,7 @@ def step_to(
         positions,
         limits.units,
         box,
-        limits.edges,
+        limits.position_limits,
         points,
         goals.targets,
         goals.flags,

@@ -214,8 +214,8 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
                     objective = PointObjective(b, own_ends, points[i], np.ones(m), np.zeros(m))
                     low = lower - x[i]
                     high = upper - x[i]
-                    sides = np.zeros(n, dtype=np.int8)
-                    minimise_in_box(objective, errors, np.full(n, damping), centre, low, high, sides, dx)
+                    at_bound = np.zeros(n, dtype=np.int8)
+                    minimise_in_box(objective, errors, np.full(n, damping), centre, low, high, at_bound, dx)
                 gain = 0.0
                 for share in (relaxation if number else 1.0, 1.0):
                     for u in range(n):

@@ -13,7 +13,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.arm.arm import state_at
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, Limits, Step
-from pinposture.control.constraint import describe_violated, sides_of
+from pinposture.control.constraint import describe_violated, inequalities_of
 from pinposture.control.controller import Info, Memory, next_step
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
@@ -190,7 +190,7 @@ class RunRecord:
         """Return the run so far, with messages on steps that exceed limits and on constraints at its end."""
         steps = self._steps
         if isinstance(controller, Geodesic):
-            broken = describe_violated(sides_of(controller.constraints, self._last), arm.length)
+            broken = describe_violated(inequalities_of(controller.constraints, self._last), arm.length)
             reason = "; ".join([reason, *broken])
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):

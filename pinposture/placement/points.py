@@ -345,7 +345,7 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
         chain=arm.kinematics.constants,
         joints=np.arange(len(columns)),
         units=arm.joint_units[columns],
-        edges=np.array([lower, upper]),
+        position_limits=np.array([lower, upper]),
         indices=indices,
         ends=arm.kinematics.ends[indices],
         targets=target.points[indices],

@@ -672,8 +672,8 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
     if keyframe.tip is None:
         return np.zeros(arm.nv)
     objective = Objective(arm, target_at(arm, keyframe, target, q), (keyframe.tip,))
-    edges = np.array([arm.limits.lower, arm.limits.upper])
-    problem = PlanningProblem(objective, arm.chain_at(q), edges)
+    position_limits = np.array([arm.limits.lower, arm.limits.upper])
+    problem = PlanningProblem(objective, arm.chain_at(q), position_limits)
     state = find_goal(problem, RESOLVING.posture_tolerance * arm.length).state
     missed = 0.0
     if keyframe.tip.priority:  # the posture gives way: a compromise can end at a distance from the goal

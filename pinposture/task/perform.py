@@ -115,13 +115,13 @@ class ReferencePath:
         self._weights = reference.weights.astype(np.float64)
         make_read_only(self._weights)
         self._start = arm.positions(reference.start)
-        self._lower, self._upper = bounds.edges - self._start
+        self._lower, self._upper = bounds.position_limits - self._start
         offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
         # Joints that do not move the arm stay where they are.
         offsets = np.ascontiguousarray(offsets * (arm.moved > 0.0))
         q = arm.integrate(reference.start, offsets[0])
         first = Target(arm.chain_at(q).points, reference.weights[0], q)
-        self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.edges)
+        self.path = JointPath(Objective(arm, first), reference.start, offsets).within(bounds.position_limits)
         self.end = self.path.end
         self._limits = limits
         durations = reference.interval if reference.durations is None else reference.durations

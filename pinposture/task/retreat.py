@@ -299,7 +299,9 @@ def nearest_posture(
     """
     arm = state.arm
     objective = Objective(arm, target)
-    problem = PlanningProblem(objective, state, bounds.edges, Avoidance.of(scene, objective, bounds))
+    problem = PlanningProblem(
+        objective, state, bounds.position_limits, Avoidance.of(scene, objective, bounds)
+    )
     allowed = 0.0 if least is None else max(0.0, scene.margin - least)
     return minimize(problem, state, RETREAT.error * arm.length, allowed).state
 

@@ -99,7 +99,7 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
     previous = None
     for k in range(120):
         state = arm.at(q)
-        box = limits.box(state, previous)
+        box = limits.step_bounds(state, previous)
         assert box.violated_constraints == ()
         assert np.all(box.lower <= box.upper)
         dq = choice(rng, policies[k // 30 % len(policies)], box)
@@ -121,7 +121,7 @@ def test_a_joint_that_always_takes_the_edge_stops_exactly_at_its_limit() -> None
     previous = None
     steps = []
     while previous is None or np.abs(previous).max() > 1e-12:
-        previous = limits.box(limited().at(q), previous).upper
+        previous = limits.step_bounds(limited().at(q), previous).upper
         q = limited().integrate(q, previous)
         steps.append(previous[0])
     np.testing.assert_allclose(limited().positions(q), 0.3, atol=1e-12)
@@ -134,7 +134,7 @@ def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
     arm = arm_called("loaded")
     q = arm.configuration([0.5, 40.0, 0.1, 0.0])
     for limits in (pp.Limits(step=0.05), pp.Limits(step=0.05, dt=0.02, acceleration=10.0)):
-        box = limits.box(arm.at(q))
+        box = limits.step_bounds(arm.at(q))
         assert len(box.violated_constraints) == 2
         assert "joint 'turn' is at 0.5, outside -2.9 to 0.1 rad" in box.violated_constraints[0]
         assert "joint 'slide' is at 0.1, outside 0.2 to 0.7 m" in box.violated_constraints[1]
@@ -152,15 +152,15 @@ def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
             outside.append(arm.positions(here)[0] - 0.1)
             assert len(outside) < 40
         assert np.all(np.diff(outside) < 0.0)
-        assert limits.box(arm.at(here), previous).violated_constraints == ()
+        assert limits.step_bounds(arm.at(here), previous).violated_constraints == ()
         # It comes to rest at the limit: nothing carries it past.
         assert outside[-1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_margin_that_the_start_does_not_keep_is_named() -> None:
     state = limited().at(np.full(8, 0.295))
-    assert pp.Limits().box(state).violated_constraints == ()
-    relaxed = pp.Limits(position_margin=0.01).box(state).violated_constraints
+    assert pp.Limits().step_bounds(state).violated_constraints == ()
+    relaxed = pp.Limits(position_margin=0.01).step_bounds(state).violated_constraints
     assert len(relaxed) == 8
     assert "outside -0.79 to 0.29 rad" in relaxed[0]
 
@@ -172,7 +172,7 @@ def test_a_joint_that_is_too_fast_brakes_as_hard_as_it_may_and_is_named() -> Non
     fast[2] = 0.05
     fast[3] = -0.05
     fast[4] = 0.02
-    box = limits.box(state, fast)
+    box = limits.step_bounds(state, fast)
     assert len(box.violated_constraints) == 1
     assert "position limit: joint 'm02_j1_y' at " in box.violated_constraints[0]
     assert box.lower[2] == box.upper[2] == pytest.approx(0.04)
@@ -185,7 +185,7 @@ def test_a_joint_faster_than_its_bound_takes_the_bound_and_is_named() -> None:
     fast = np.zeros(8)
     fast[1] = -0.3
     fast[6] = 0.105
-    box = limits.box(limited().at(np.r_[np.zeros(6), -0.6, 0.0]), fast)
+    box = limits.step_bounds(limited().at(np.r_[np.zeros(6), -0.6, 0.0]), fast)
     assert len(box.violated_constraints) == 1
     assert "acceleration limit: braking leaves joint 'm01_j2_z' a step" in box.violated_constraints[0]
     assert box.lower[1] == box.upper[1] == -0.1
@@ -202,7 +202,7 @@ def test_from_any_state_the_box_holds_the_bound_and_full_braking_at_least(seed: 
     state = arm.at(arm.configuration(rng.normal(0.0, 2.0, arm.nv)))
     previous = rng.normal(0.0, 0.1, arm.nv)
     positions = arm.positions(state.q)
-    box = limits.box(state, previous)
+    box = limits.step_bounds(state, previous)
     brake = limits.acceleration * 0.01
     assert np.all(box.lower <= box.upper)
     bound = np.minimum(0.1, 0.1 * arm.limits.velocity)
@@ -232,13 +232,13 @@ def test_joints_off_the_chain_are_left_alone() -> None:
     arm = pp.Arm.from_model(model, ["end"])
     state = arm.at([0.0, 2.0, 0.0])
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=5.0)
-    box = limits.box(state)
+    box = limits.step_bounds(state)
     assert box.violated_constraints == ()
     np.testing.assert_allclose([box.lower, box.upper], [[-0.05] * 3, [0.05] * 3])
     limited = limits.apply(state, np.array([1.0, 0.0, -1.0]))
     np.testing.assert_allclose(limited.dq, [0.05, 0.0, -0.05], atol=1e-15)
     assert limited.dq[1] == 0.0
-    fast = limits.box(state, np.array([0.0, 0.4, 0.0]))
+    fast = limits.step_bounds(state, np.array([0.0, 0.4, 0.0]))
     assert "joint 'aside'" in fast.violated_constraints[0]
 
 
@@ -253,7 +253,7 @@ def test_without_an_acceleration_limit_steps_are_scaled_and_cut(
     state = arm.at(arm.configuration(rng.normal(0.0, 1.0, arm.nv)))
     asked = rng.normal(0.0, rng.choice([0.01, 0.1, 10.0]), arm.nv)
     limited = limits.apply(state, asked, rng.normal(size=arm.nv))
-    box = limits.box(state)
+    box = limits.step_bounds(state)
     bounds = [min(np.inf if step is None else step, v * 0.04) for v in arm.limits.velocity]
     scale = min([1.0, *(b / abs(d) for b, d in zip(bounds, asked, strict=True) if d)])
     assert limited.scale == pytest.approx(scale, rel=1e-12)
@@ -307,11 +307,14 @@ def test_what_is_remembered_of_an_arm_does_not_keep_it() -> None:
         (lambda: pp.Limits(acceleration=[1.0, -1.0], dt=0.1), "acceleration"),
         (lambda: pp.Limits(acceleration="x", dt=0.1), "acceleration is 'x'"),
         (
-            lambda: pp.Limits(acceleration=np.ones(3), dt=0.1).box(limited().at(np.zeros(8))),
+            lambda: pp.Limits(acceleration=np.ones(3), dt=0.1).step_bounds(limited().at(np.zeros(8))),
             r"acceleration \(sh",
         ),
-        (lambda: pp.Limits(position_margin=0.6).box(limited().at(np.zeros(8))), "position_margin is 0.6"),
-        (lambda: BRAKING.box(limited().at(np.zeros(8)), np.zeros(7)), r"previous \(shape\)"),
+        (
+            lambda: pp.Limits(position_margin=0.6).step_bounds(limited().at(np.zeros(8))),
+            "position_margin is 0.6",
+        ),
+        (lambda: BRAKING.step_bounds(limited().at(np.zeros(8)), np.zeros(7)), r"previous \(shape\)"),
         (lambda: BRAKING.apply(limited().at(np.zeros(8)), np.zeros(8), np.full(8, np.nan)), r"previous\[0\]"),
         (lambda: BRAKING.hold(limited().at(np.zeros(8)), "x"), "previous is 'x'"),
     ],
@@ -331,7 +334,7 @@ def test_extreme_accelerations_give_finite_steps(acceleration: float) -> None:
         arm = arm_called(kind)
         limits = pp.Limits(step=0.1, dt=1e-3, velocity=1e9, acceleration=acceleration)
         for q in (arm.configuration(middle_of(arm)), arm.configuration(np.full(arm.nv, 1.7))):
-            box = limits.box(arm.at(q), np.zeros(arm.nv))
+            box = limits.step_bounds(arm.at(q), np.zeros(arm.nv))
             assert np.all(np.isfinite(box.lower) & np.isfinite(box.upper))
             dq = limits.apply(arm.at(q), np.ones(arm.nv)).dq
             assert np.all(np.isfinite(dq))

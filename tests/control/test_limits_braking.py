@@ -87,7 +87,7 @@ def test_the_box_is_the_viability_kernel(low: int, high: int, bound: int, brake:
     )
     viable = viable_states(low, high, bound, brake)
     for x, p in product(range(low, high + 1), range(-bound, bound + 1)):
-        box = limits.box(arm.at([x * UNIT]), np.array([p * UNIT]))
+        box = limits.step_bounds(arm.at([x * UNIT]), np.array([p * UNIT]))
         lower = box.lower[0] / UNIT
         upper = box.upper[0] / UNIT
         assert lower <= upper

@@ -60,7 +60,7 @@ def test_every_controller_keeps_an_acceleration_limit(name: str, kind: str) -> N
         controller = controller_named(name)
         for _ in range(50):
             state = arm.at(q)
-            assert limits.box(state, before).violated_constraints == ()
+            assert limits.step_bounds(state, before).violated_constraints == ()
             step = controller.step(state, target, limits, memory)
             assert np.all(np.abs(step.dq) <= 1.5 * dt + ALLOWED)
             assert np.all(np.abs(step.dq - before) <= acceleration * dt**2 + ALLOWED)

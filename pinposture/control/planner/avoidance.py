@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pinposture.arm import ChainState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
-from pinposture.control.constraint import VIOLATION_ROUNDING, Sides, describe_violated, sides_of
+from pinposture.control.constraint import VIOLATION_ROUNDING, Inequalities, describe_violated, inequalities_of
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.torque_limits import StepTorques, Stop, TorqueLimits
@@ -311,7 +311,7 @@ class Avoidance:
         self._known_stop = stopping
         self._step_torques: tuple[ChainState, StepTorques] | None = None
         self._seen: tuple[ChainState, Distances] | None = None
-        self._seen_sides: tuple[ChainState, Sides] | None = None
+        self._seen_inequalities: tuple[ChainState, Inequalities] | None = None
         self._seen_displaced: tuple[ChainState, Distances] | None = None
         self._stops: tuple[ChainState, Array, Array | None] | None = None
         brake = bounds.brake
@@ -360,20 +360,20 @@ class Avoidance:
         other.tolerated = max(self.violation(state) for state in states)
         return other
 
-    def sides(self, state: ChainState) -> Sides:
+    def inequalities(self, state: ChainState) -> Inequalities:
         """Return the constraints at a state; the last result is cached."""
-        if self._seen_sides is None or self._seen_sides[0] is not state:
-            found = sides_of(self.constraints, state)
+        if self._seen_inequalities is None or self._seen_inequalities[0] is not state:
+            found = inequalities_of(self.constraints, state)
             if self.torques is not None:
-                found = found.joined(self.torques.sides(state))
-            self._seen_sides = state, found
-        return self._seen_sides[1]
+                found = found.joined(self.torques.inequalities(state))
+            self._seen_inequalities = state, found
+        return self._seen_inequalities[1]
 
     def violation(self, state: ChainState) -> float:
         """Return by how much the worst constraint is violated [m]; 0 if all are kept, up to rounding."""
         if not self.constrained:
             return 0.0
-        found = sides_of(self.constraints, state).violation if self.constraints else 0.0
+        found = inequalities_of(self.constraints, state).violation if self.constraints else 0.0
         if self.torques is not None:
             found = max(found, self.torques.violation(state))
         return found if found > VIOLATION_ROUNDING * self._length else 0.0
@@ -426,9 +426,9 @@ class Avoidance:
 
     def _constraint_rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows:
         """Return the rows of constraints: none loses more than a share of its room, as pairs of clearance."""
-        sides = self.sides(state)
-        matrix = sides.matrix[:, self.objective.columns] * self.objective.units
-        room = sides.room - AVOIDANCE.step_clearance * self._length
+        inequalities = self.inequalities(state)
+        matrix = inequalities.matrix[:, self.objective.columns] * self.objective.units
+        room = inequalities.room - AVOIDANCE.step_clearance * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         return ConstraintRows(matrix, np.minimum(-self._approach * room, AVOIDANCE.gain_share * most))
 
@@ -519,7 +519,7 @@ class Avoidance:
         start = self.objective.arm.chain_at(q)
         found = np.zeros(len(offsets))
         if self.constraints:
-            found = np.array([each.violation for each in self._sides_along(start, offsets)])
+            found = np.array([each.violation for each in self._inequalities_along(start, offsets)])
         if self.torques is not None:
             found = np.maximum(found, self.torques.violations(start.raw_positions + offsets))
         return np.asarray(np.maximum(np.maximum.reduceat(found, ends[:-1]), found[ends[1:]]))
@@ -538,16 +538,16 @@ class Avoidance:
         offsets = np.concatenate([between, path[-1:]])
         return offsets, ends
 
-    def _sides_along(self, start: ChainState, offsets: Array) -> list[Sides]:
+    def _inequalities_along(self, start: ChainState, offsets: Array) -> list[Inequalities]:
         """Return the constraints at states displaced from one, (s, nv)."""
-        return [sides_of(self.constraints, start.moved(each)) for each in offsets]
+        return [inequalities_of(self.constraints, start.moved(each)) for each in offsets]
 
     def missing_room(self, state: ChainState, root: float) -> LinearRows:
         """Return rows that move a waypoint back within its constraints, times the root of their weight."""
-        sides = self.sides(state)
-        wanted = AVOIDANCE.path_clearance * self._length - sides.room
+        inequalities = self.inequalities(state)
+        wanted = AVOIDANCE.path_clearance * self._length - inequalities.room
         near = wanted > 0.0
-        matrix = sides.matrix[near][:, self.objective.columns] * self.objective.units
+        matrix = inequalities.matrix[near][:, self.objective.columns] * self.objective.units
         return LinearRows(root * matrix, root * wanted[near])
 
     def clear_stop(self, state: ChainState, dq: Array, stopping: Array | None = None) -> Array | None:
@@ -656,7 +656,7 @@ class Avoidance:
         if torques is not None:
             return torques.stop(dq)
         bounds = self._bounds
-        rooms = bounds.edges - (state.raw_positions + dq)
+        rooms = bounds.position_limits - (state.raw_positions + dq)
         return Stop(stopping_steps(rooms, dq, bounds.bound, bounds.brake), 0.0)
 
     def _brake_from(self, state: ChainState) -> Stop:
@@ -668,7 +668,7 @@ class Avoidance:
         if known is not None:
             return Stop(known, 0.0)
         bounds = self._bounds
-        rooms = bounds.edges - state.raw_positions
+        rooms = bounds.position_limits - state.raw_positions
         return Stop(stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), 0.0)
 
     def torques_at(self, state: ChainState) -> StepTorques | None:
@@ -737,7 +737,7 @@ class Avoidance:
         """Describe the constraints and the torque limit that are violated at a state."""
         broken: tuple[str, ...] = ()
         if self.constraints:
-            broken = describe_violated(sides_of(self.constraints, state), self._length)
+            broken = describe_violated(inequalities_of(self.constraints, state), self._length)
         return broken if self.torques is None else broken + self.torques.describe(state)
 
     def describe_worst_on(self, q: Array, path: Array) -> tuple[str, ...]:
@@ -748,7 +748,9 @@ class Avoidance:
         offsets, _ = self._sampled(path)
         found: tuple[str, ...] = ()
         if self.constraints:
-            worst = max(self._sides_along(start, offsets), key=lambda sides: sides.violation)
+            worst = max(
+                self._inequalities_along(start, offsets), key=lambda inequalities: inequalities.violation
+            )
             found = describe_violated(worst, self._length)
         if self.torques is not None:
             worst_at = int(self.torques.violations(start.raw_positions + offsets).argmax())
@@ -782,10 +784,10 @@ class Avoidance:
         self, state: ChainState, binding: NDArray[np.bool_], stuck: bool
     ) -> tuple[str, ...]:
         """Return a message for each constraint that limits a step."""
-        sides = self.sides(state)
-        which = (sides.room <= 1.5 * AVOIDANCE.step_clearance * self._length) & stuck
+        inequalities = self.inequalities(state)
+        which = (inequalities.room <= 1.5 * AVOIDANCE.step_clearance * self._length) & stuck
         which = which | binding if len(binding) == len(which) else which
-        names = {sides.names[k] for k in np.flatnonzero(which)}
+        names = {inequalities.names[k] for k in np.flatnonzero(which)}
         return tuple(f"constraint {name}" for name in sorted(names))
 
     def _which(self, near: Distances, binding: NDArray[np.bool_], stuck: bool) -> NDArray[np.bool_]:

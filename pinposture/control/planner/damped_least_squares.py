@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import ChainState
-from pinposture.control.limits import StepBox
+from pinposture.control.limits import StepBounds
 from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH
@@ -84,17 +84,17 @@ class PlanningProblem(NamedTuple):
     Attributes:
         objective: the objective.
         start: the state of the arm.
-        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        position_limits: smallest and largest joint positions, (2, nv) [rad or m].
         avoidance: the obstacles to avoid; None: none.
     """
 
     objective: Objective
     start: ChainState
-    edges: Array
+    position_limits: Array
     avoidance: Avoidance | None = None
 
 
-class StepBounds(NamedTuple):
+class StepConstraints(NamedTuple):
     """Constraints on one step.
 
     Attributes:
@@ -114,11 +114,11 @@ class StepBounds(NamedTuple):
 
     @classmethod
     def of(
-        cls, objective: Objective, state: ChainState, box: StepBox, avoidance: Avoidance | None
-    ) -> StepBounds:
+        cls, objective: Objective, state: ChainState, step_bounds: StepBounds, avoidance: Avoidance | None
+    ) -> StepConstraints:
         """Return the bounds that limits and obstacles impose."""
         lower, upper = (
-            np.clip(objective.normalize(side), -PATH.most_step, PATH.most_step) for side in box.sides
+            np.clip(objective.normalize(side), -PATH.most_step, PATH.most_step) for side in step_bounds.both
         )
         if avoidance is None:
             return cls(state, lower, upper, None)
@@ -150,38 +150,40 @@ class LeastSquaresResult(NamedTuple):
     intrusion: float
 
 
-def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> Solution:
+def reduce_errors(objective: Objective, constraints: StepConstraints, damping: float) -> Solution:
     """Solve for one step x towards all targets at once.
 
-    The step minimises |A x - s e|^2 + lambda |x|^2 within its bounds, with all rows A and errors e of the
-    objective. For a distant target, s scales all errors so that the largest of a point is one module length,
-    within the range of the linearisation. The damping lambda grows with the errors.
+    The step minimises |A x - s e|^2 + lambda |x|^2 within its constraints, with all rows A and errors e of
+    the objective. For a distant target, s scales all errors so that the largest of a point is one module
+    length, within the range of the linearisation. The damping lambda grows with the errors.
 
     Args:
         objective: the objective.
-        bounds: the bounds of the step.
+        constraints: those of the step.
         damping: damping factor.
     """
-    scale = _error_scale(objective, bounds.state)
+    scale = _error_scale(objective, constraints.state)
     if not objective.tasks:
-        solver = ChainSolver(objective, bounds.state)
-        errors, squares = objective.point_errors(bounds.state)
+        solver = ChainSolver(objective, constraints.state)
+        errors, squares = objective.point_errors(constraints.state)
         least = DESCENT.least_damping * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
         weight = damping * DESCENT.damping_share * scale**2 * squares + least
-        return solve_posture(solver, scale * errors, weight, np.zeros(len(bounds.lower)), bounds)
-    rows = objective.rows(bounds.state)
+        return solve_posture(solver, scale * errors, weight, np.zeros(len(constraints.lower)), constraints)
+    rows = objective.rows(constraints.state)
     errors = scale * rows.errors
     least = DESCENT.least_damping * mean_diagonal(objective, rows.matrix)
     hessian = damped_hessian(rows.matrix, damping * DESCENT.damping_share * float(errors @ errors) + least)
-    tasks = objective.task_rows(bounds.state, priority=True)
+    tasks = objective.task_rows(constraints.state, priority=True)
     first = None
     if tasks is not None:
-        first = solve_priority(objective, bounds, tasks, scale * tasks.errors, np.zeros(len(bounds.lower)))
-    return solve_remaining(hessian, -(rows.matrix.T @ errors), bounds, first)
+        first = solve_priority(
+            objective, constraints, tasks, scale * tasks.errors, np.zeros(len(constraints.lower))
+        )
+    return solve_remaining(hessian, -(rows.matrix.T @ errors), constraints, first)
 
 
 def solve_posture(
-    solver: ChainSolver, errors: Array, damping: float, center: Array, bounds: StepBounds
+    solver: ChainSolver, errors: Array, damping: float, center: Array, constraints: StepConstraints
 ) -> Solution:
     """Minimise |A x - e|^2 + damping |x - c|^2 over points and chords, within the bounds of a step.
 
@@ -193,14 +195,14 @@ def solve_posture(
         errors: errors e of the points, (p, 3) [m].
         damping: above 0 [m^2].
         center: c, (n,), in `Arm.joint_units`.
-        bounds: the bounds of the step.
+        constraints: those of the step.
     """
-    lower = bounds.lower
-    upper = bounds.upper
+    lower = constraints.lower
+    upper = constraints.upper
     given = errors, damping, center, lower, upper
-    if bounds.rows is None:
+    if constraints.rows is None:
         return Solution(solver.step(*given), np.zeros(0, dtype=np.bool_), False)
-    normal = bounds.rows.normal()
+    normal = constraints.rows.normal()
     possible = np.flatnonzero(normal.lowest(lower, upper) < normal.least)
     found = None
     if len(possible) <= max(DESCENT.few_rows, len(lower) ** 2 / DESCENT.squared_joints_per_row):
@@ -209,7 +211,7 @@ def solve_posture(
     if found is None:
         matrix, wanted = solver.rows(errors)
         gradient = -(matrix.T @ wanted + damping * center)
-        return solve(damped_hessian(matrix, damping), gradient, lower, upper, bounds.rows)
+        return solve(damped_hessian(matrix, damping), gradient, lower, upper, constraints.rows)
     binding = np.zeros(len(normal.least), dtype=np.bool_)
     binding[possible] = found.binding
     return Solution(found.x, binding, found.softened)
@@ -228,7 +230,7 @@ class PriorityStep(NamedTuple):
 
 
 def solve_priority(
-    objective: Objective, bounds: StepBounds, tasks: LinearRows, wanted: Array, center: Array
+    objective: Objective, constraints: StepConstraints, tasks: LinearRows, wanted: Array, center: Array
 ) -> PriorityStep | None:
     """Solve for the tasks with priority alone; None if that fails.
 
@@ -237,7 +239,7 @@ def solve_priority(
 
     Args:
         objective: the objective.
-        bounds: the bounds of the step.
+        constraints: those of the step.
         tasks: the rows of these tasks.
         wanted: the motion that the rows should have, (r,) [m].
         center: the step to stay close to, (n,).
@@ -245,7 +247,7 @@ def solve_priority(
     damping = DESCENT.priority_damping * mean_diagonal(objective, tasks.matrix)
     hessian = damped_hessian(tasks.matrix, damping)
     gradient = -(tasks.matrix.T @ wanted + damping * center)
-    alone = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows)
+    alone = solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows)
     if alone.x is None:
         return None
     _, sigma, right = np.linalg.svd(tasks.matrix, full_matrices=False)
@@ -253,7 +255,7 @@ def solve_priority(
 
 
 def solve_remaining(
-    hessian: Array, gradient: Array, bounds: StepBounds, first: PriorityStep | None
+    hessian: Array, gradient: Array, constraints: StepConstraints, first: PriorityStep | None
 ) -> Solution:
     """Minimise x^T H x / 2 + g^T x with equality constraints for the tasks with priority.
 
@@ -261,24 +263,24 @@ def solve_remaining(
     because of rounding at the bounds, that step is returned.
     """
     if first is None:
-        return solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows)
+        return solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows)
     equal = (first.matrix, first.matrix @ first.x)
-    found = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows, equal)
+    found = solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows, equal)
     return found if found.x is not None else found._replace(x=first.x)
 
 
 def correct_curvature(
-    objective: Objective, bounds: StepBounds, x: Array, planned: Array | None = None
+    objective: Objective, constraints: StepConstraints, x: Array, planned: Array | None = None
 ) -> Array:
     """Correct a step for second-order errors of tasks with priority, as far as its bounds allow.
 
     Args:
         objective: the objective.
-        bounds: the bounds of the step.
+        constraints: those of the step.
         x: the step, (n,).
         planned: the errors after it, (r,) [m]; None: those of the linearised tasks.
     """
-    before = objective.task_rows(bounds.state, priority=True)
+    before = objective.task_rows(constraints.state, priority=True)
     if before is None:
         return x
     inverse = np.linalg.pinv(before.matrix, rcond=DESCENT.independent)
@@ -286,14 +288,14 @@ def correct_curvature(
     left = np.inf
     best = x
     for _ in range(DESCENT.curvature_corrections):
-        after = objective.task_rows(objective.state_after(bounds.state, x), priority=True)
+        after = objective.task_rows(objective.state_after(constraints.state, x), priority=True)
         missed = planned if after is None else after.errors - planned
         found = float(np.linalg.norm(missed))
         if found >= left:
             break
         left = found
         best = x
-        x = np.clip(x + inverse @ missed, bounds.lower, bounds.upper)
+        x = np.clip(x + inverse @ missed, constraints.lower, constraints.upper)
     return best
 
 
@@ -317,7 +319,7 @@ def minimize(
         steps: largest number of steps.
     """
     if problem.avoidance is None and not problem.objective.tasks:
-        return _minimize_alone(problem.objective, state, problem.edges, good, steps)
+        return _minimize_alone(problem.objective, state, problem.position_limits, good, steps)
     fit = _PostureFit(problem, good, allowed)
     state, rating = descend(fit, state, steps)
     return LeastSquaresResult(
@@ -411,32 +413,34 @@ class _PostureFit(NamedTuple):
         avoidance = self.problem.avoidance
         columns = objective.columns
         here = state.positions[columns]
-        lower, upper = ((edge[columns] - here) / objective.units for edge in self.problem.edges)
+        lower, upper = ((edge[columns] - here) / objective.units for edge in self.problem.position_limits)
         lower = np.clip(lower, -DESCENT.search_step, 0.0)
         upper = np.clip(upper, 0.0, DESCENT.search_step)
         rows = None if avoidance is None else avoidance.rows(state, lower, upper)
-        bounds = StepBounds(state, lower, upper, rows)
-        x = reduce_errors(objective, bounds, damping).x
-        return None if x is None else objective.state_after(state, correct_curvature(objective, bounds, x))
+        constraints = StepConstraints(state, lower, upper, rows)
+        x = reduce_errors(objective, constraints, damping).x
+        return (
+            None if x is None else objective.state_after(state, correct_curvature(objective, constraints, x))
+        )
 
 
 def _minimize_alone(
-    objective: Objective, state: ChainState, edges: Array, good: float, steps: int
+    objective: Objective, state: ChainState, position_limits: Array, good: float, steps: int
 ) -> LeastSquaresResult:
     """Run `minimize` for points and chords in free space, in one compiled call."""
     positions = state.raw_positions.copy()
-    squares, mean = _search(objective, positions, edges, good, steps)
+    squares, mean = _search(objective, positions, position_limits, good, steps)
     found = state.moved(positions - state.raw_positions)
     return LeastSquaresResult(found, 0.5 * squares, mean, 0.0)
 
 
-def find_positions_near(objective: Objective, state: ChainState, edges: Array) -> Array | None:
+def find_positions_near(objective: Objective, state: ChainState, position_limits: Array) -> Array | None:
     """Return joint positions that take the target posture, near those of a state.
 
     Args:
         objective: points and chords.
         state: the initial state.
-        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        position_limits: smallest and largest joint positions, (2, nv) [rad or m].
 
     Returns:
         Joint positions, (nv,) [rad or m]: those of the configuration of the target if it has one, else those
@@ -450,11 +454,12 @@ def find_positions_near(objective: Objective, state: ChainState, edges: Array) -
         return None
     positions = state.raw_positions.copy()
     good = OBJECTIVE.goal_tolerance * arm.length
-    return positions if _search(objective, positions, edges, good, DESCENT.quick_steps)[1] <= good else None
+    _, mean = _search(objective, positions, position_limits, good, DESCENT.quick_steps)
+    return positions if mean <= good else None
 
 
 def _search(
-    objective: Objective, positions: Array, edges: Array, good: float, steps: int
+    objective: Objective, positions: Array, position_limits: Array, good: float, steps: int
 ) -> tuple[float, float]:
     """Search from joint positions, (nv,), in place; return the sum of squares and the mean error."""
     arm = objective.arm
@@ -463,7 +468,7 @@ def _search(
         chain=arm.kinematics.constants,
         joints=chain.joints,
         units=chain.units,
-        edges=np.ascontiguousarray(edges[:, objective.columns]),
+        position_limits=np.ascontiguousarray(position_limits[:, objective.columns]),
         indices=chain.has_target,
         ends=chain.ends,
         targets=chain.goals,

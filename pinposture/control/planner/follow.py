@@ -20,14 +20,14 @@ from pinposture.control.limits import (
     MAX_STOPPING_STEPS,
     JointBounds,
     Limits,
-    StepBox,
+    StepBounds,
     farthest,
     require_limits,
 )
 from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
     DESCENT,
-    StepBounds,
+    StepConstraints,
     correct_curvature,
     damped_hessian,
     find_positions_near,
@@ -332,7 +332,7 @@ class GeodesicMemory(Memory):
         steps = None if known is None else known.known_stop(chain_state, torques)
         if known is None or steps is None:
             return replace(self, stopping=torques.stop().steps).braked(limits, state)
-        step = stop_on_path(known, chain_state, bounds, bounds.box(chain_state, self.dq), None)
+        step = stop_on_path(known, chain_state, bounds, bounds.step_bounds(chain_state, self.dq), None)
         if len(steps) and np.array_equal(step.dq, steps[0]):
             return replace(cast(GeodesicMemory, step.memory), goal=self.goal)
         return replace(self, stopping=steps).braked(limits, state)
@@ -369,7 +369,9 @@ def follow(
     bounds = limits.for_arm(state.arm)
     avoidance = Avoidance.of(progress.path.scene, objective, bounds, previous)
     step = fast_step(progress, state, bounds, previous) if avoidance is None else None
-    return advance(progress, state, bounds, bounds.box(state, previous), avoidance) if step is None else step
+    if step is not None:
+        return step
+    return advance(progress, state, bounds, bounds.step_bounds(state, previous), avoidance)
 
 
 def fast_step(
@@ -541,7 +543,7 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
     """
     if bounds.brake is not None:
         return None
-    goal = find_positions_near(objective, state, bounds.edges)
+    goal = find_positions_near(objective, state, bounds.position_limits)
     if goal is None:
         return None
     arm = state.arm
@@ -596,7 +598,7 @@ def pursue(
     before = memory.goal if isinstance(memory, GeodesicMemory) else None
     if before is not None and before.target is target:
         return None, before._replace(motion=np.zeros(arm.nv))
-    found = find_positions_near(objective, state, bounds.edges)
+    found = find_positions_near(objective, state, bounds.position_limits)
     none = np.zeros(arm.nv)
     if found is None or bounds.brake is None:
         return None, None
@@ -617,13 +619,13 @@ def pursue(
     rest = _turned(arm, found - positions)
     near = np.abs(rest) <= FOLLOWING.most_pursued_motion * arm.joint_units
     moves = near & (np.abs(motion) <= bounds.bound)
-    inside = kernels.position_excess(positions + rest, bounds.edges, arm.kinematics.columns) == 0.0
-    box = bounds.box(state, None if memory is None else memory.dq)
-    if box.outside or not (inside and np.all(moves[columns])):
+    inside = kernels.position_excess(positions + rest, bounds.position_limits, arm.kinematics.columns) == 0.0
+    step_bounds = bounds.step_bounds(state, None if memory is None else memory.dq)
+    if step_bounds.outside or not (inside and np.all(moves[columns])):
         return None, goal
     dq = np.zeros(arm.nv)
     wanted = motion + farthest(rest - motion, bounds.brake)
-    dq[columns] = np.minimum(np.maximum(wanted, box.lower), box.upper)[columns]
+    dq[columns] = np.minimum(np.maximum(wanted, step_bounds.lower), step_bounds.upper)[columns]
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)
     chain = objective.chain
@@ -631,8 +633,8 @@ def pursue(
         arm.kinematics.constants,
         positions,
         bounds.units,
-        box.sides,
-        bounds.edges,
+        step_bounds.both,
+        bounds.position_limits,
         state.placements.points,
         chain.targets,
         chain.flags,
@@ -645,7 +647,7 @@ def pursue(
         objective.active,
         at_limit,
         error_increasing=_rises(objective, error, after),
-        violated_constraints=box.violated_constraints,
+        violated_constraints=step_bounds.violated_constraints,
         following_path=True,
         memory=GeodesicMemory(dq, None, None, goal),
     )
@@ -659,7 +661,11 @@ def _turned(arm: Arm, change: Array) -> Array:
 
 
 def stop_on_path(
-    progress: PathProgress, state: ChainState, bounds: JointBounds, box: StepBox, avoidance: Avoidance | None
+    progress: PathProgress,
+    state: ChainState,
+    bounds: JointBounds,
+    step_bounds: StepBounds,
+    avoidance: Avoidance | None,
 ) -> Step:
     """Take a step that brakes on a path as much as its limits of torque and acceleration allow.
 
@@ -667,7 +673,7 @@ def stop_on_path(
         progress: position of an arm that can stop on its path, `PathProgress.can_stop`.
         state: the state of the arm.
         bounds: the limits of the joints.
-        box: the steps that they allow.
+        step_bounds: the steps that they allow.
         avoidance: the obstacles to avoid, and constraints; None: none.
     """
     timed = progress.timed
@@ -680,7 +686,7 @@ def stop_on_path(
     place = progress.place + max(speed, 0.0)
     dq = np.array(path.smooth_offset(place) - path.smooth_offset(progress.place))
     moved = progress.moved_to(place, bounds.travel, hindered=False)
-    return check_step(CandidateStep(dq, moved), state, bounds, box, avoidance, progress)
+    return check_step(CandidateStep(dq, moved), state, bounds, step_bounds, avoidance, progress)
 
 
 def stopping_on_path(progress: PathProgress) -> Array:
@@ -744,21 +750,29 @@ class CandidateStep(NamedTuple):
 
 
 def propose(
-    progress: PathProgress, state: ChainState, bounds: JointBounds, box: StepBox, avoidance: Avoidance | None
+    progress: PathProgress,
+    state: ChainState,
+    bounds: JointBounds,
+    step_bounds: StepBounds,
+    avoidance: Avoidance | None,
 ) -> CandidateStep:
     """Return a step along a path, or at its end, before it is checked; arguments as for `advance`."""
     if not progress.arrived:
-        return step_along(progress, state, box, bounds, avoidance)
-    step_bounds = StepBounds.of(progress.objective, state, box, avoidance)
-    candidate = reduce_remaining(progress, step_bounds)
-    if bounds.effort is None or bounds.dt is None or step_bounds.retreating:
+        return step_along(progress, state, step_bounds, bounds, avoidance)
+    constraints = StepConstraints.of(progress.objective, state, step_bounds, avoidance)
+    candidate = reduce_remaining(progress, constraints)
+    if bounds.effort is None or bounds.dt is None or constraints.retreating:
         return candidate
     torques = StepTorques(state.arm, bounds, state.raw_positions, None)
     return candidate._replace(dq=torques.approach(candidate.dq))
 
 
 def advance(
-    progress: PathProgress, state: ChainState, bounds: JointBounds, box: StepBox, avoidance: Avoidance | None
+    progress: PathProgress,
+    state: ChainState,
+    bounds: JointBounds,
+    step_bounds: StepBounds,
+    avoidance: Avoidance | None,
 ) -> Step:
     """Take a step along a path, or at its end; the step is finite, within its limits and clear.
 
@@ -766,17 +780,17 @@ def advance(
         progress: position of the arm on its path.
         state: the state of the arm.
         bounds: the limits of the joints.
-        box: the steps that they allow.
+        step_bounds: the steps that they allow.
         avoidance: the obstacles to avoid; None: none.
     """
-    candidate = propose(progress, state, bounds, box, avoidance)
-    return check_step(candidate, state, bounds, box, avoidance, progress)
+    candidate = propose(progress, state, bounds, step_bounds, avoidance)
+    return check_step(candidate, state, bounds, step_bounds, avoidance, progress)
 
 
 def step_along(
     progress: PathProgress,
     state: ChainState,
-    box: StepBox,
+    step_bounds: StepBounds,
     bounds: JointBounds,
     avoidance: Avoidance | None = None,
 ) -> CandidateStep:
@@ -788,7 +802,7 @@ def step_along(
     Args:
         progress: position of the arm on its path.
         state: the state of the arm.
-        box: the steps that the limits allow.
+        step_bounds: the steps that the limits allow.
         bounds: the limits of the joints.
         avoidance: the obstacles to avoid; None: none.
     """
@@ -796,11 +810,11 @@ def step_along(
     objective = progress.objective
     here = progress.place
     tasks = objective.task_rows(state, priority=True)
-    proposal = _next_on_path(progress, state, box, bounds, tasks)
+    proposal = _next_on_path(progress, state, step_bounds, bounds, tasks)
     place, left, inside, hindered, dq, _ = proposal
     if place >= path.end and left <= FOLLOWING.arrived:
         progress = progress._replace(arrived=True, place=path.end)
-        return reduce_remaining(progress, StepBounds.of(objective, state, box, avoidance))
+        return reduce_remaining(progress, StepConstraints.of(objective, state, step_bounds, avoidance))
     if inside and avoidance is None and not objective.tasks:
         # All weights give the same step here, and a step ahead is progress (see `JointPath.step_along`).
         return CandidateStep(dq, progress.moved_to(place, bounds.travel, hindered and place <= here))
@@ -812,37 +826,37 @@ def step_along(
     may_stop = may_follow and avoidance is not None and avoidance.still
     if may_stop and avoidance is not None and _clear_stop(progress, state, dq, bounds, avoidance) is not None:
         return CandidateStep(dq, progress)  # without computing the rows of constraints
-    step_bounds = StepBounds.of(objective, state, box, avoidance)
+    constraints = StepConstraints.of(objective, state, step_bounds, avoidance)
     wanted = objective.normalize(dq)
-    if may_follow and step_bounds.admit(wanted):
+    if may_follow and constraints.admit(wanted):
         return CandidateStep(dq, progress)
     if not objective.tasks:
         solver = ChainSolver(objective, state)
-        found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, step_bounds)
-        x = np.clip(wanted, step_bounds.lower, step_bounds.upper) if found.x is None else found.x
+        found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, constraints)
+        x = np.clip(wanted, constraints.lower, constraints.upper) if found.x is None else found.x
         return CandidateStep(objective.displacement(x), progress, found)
-    step = _bend_to_tasks(progress, dq, step_bounds, tasks)
+    step = _bend_to_tasks(progress, dq, constraints, tasks)
     if tasks is not None and proposal.rest is not None:
         most = np.abs(dq) + FOLLOWING.arrived * objective.chain.units
         if np.any((np.abs(step.dq) > most)[objective.columns]):
             shared = _share(proposal.rest, dq)
-            step = _bend_to_tasks(progress, shared, step_bounds, tasks)
+            step = _bend_to_tasks(progress, shared, constraints, tasks)
     return step
 
 
 def _bend_to_tasks(
-    progress: PathProgress, dq: Array, step_bounds: StepBounds, tasks: LinearRows | None
+    progress: PathProgress, dq: Array, constraints: StepConstraints, tasks: LinearRows | None
 ) -> CandidateStep:
     """Return the step closest to one along the path that tasks with priority admit.
 
     Args:
         progress: position of the arm on its path after the step.
         dq: the step along the path, (nv,) [rad or m].
-        step_bounds: the bounds of the step.
+        constraints: the bounds of the step.
         tasks: the rows of the tasks at the state; None: there are none.
     """
     objective = progress.objective
-    state = step_bounds.state
+    state = constraints.state
     wanted = objective.normalize(dq)
     hessian = damped_hessian(objective.rows(state).matrix, objective.mu**2)
     first = None
@@ -851,12 +865,12 @@ def _bend_to_tasks(
         planned = _planned_errors(progress, progress.place, len(tasks.errors))
         reached = cast(LinearRows, objective.task_rows(objective.state_after(state, wanted), priority=True))
         motion = tasks.matrix @ wanted + reached.errors - planned  # none but `wanted` if that leads there
-        first = solve_priority(objective, step_bounds, tasks, motion, wanted)
-    found = solve_remaining(hessian, -(hessian @ wanted), step_bounds, first)
+        first = solve_priority(objective, constraints, tasks, motion, wanted)
+    found = solve_remaining(hessian, -(hessian @ wanted), constraints, first)
     if found.x is None:
-        x = np.clip(wanted, step_bounds.lower, step_bounds.upper)
+        x = np.clip(wanted, constraints.lower, constraints.upper)
     else:
-        x = correct_curvature(objective, step_bounds, found.x, planned)
+        x = correct_curvature(objective, constraints, found.x, planned)
     return CandidateStep(objective.displacement(x), progress, found)
 
 
@@ -916,7 +930,11 @@ class _Proposal(NamedTuple):
 
 
 def _next_on_path(
-    progress: PathProgress, state: ChainState, box: StepBox, bounds: JointBounds, tasks: LinearRows | None
+    progress: PathProgress,
+    state: ChainState,
+    step_bounds: StepBounds,
+    bounds: JointBounds,
+    tasks: LinearRows | None,
 ) -> _Proposal:
     """Propose the next step along the path, with the rows of the tasks with priority at the state."""
     timed = progress.timed
@@ -925,7 +943,7 @@ def _next_on_path(
     columns = progress.objective.columns
     units = progress.objective.chain.units
     if timed.profile is None:
-        step = path.step_along(state, here, box.sides)
+        step = path.step_along(state, here, step_bounds.both)
         left = step.left
         if here >= path.end and tasks is not None:
             rest = _admitted(progress, here, tasks, path.offsets[-1] - path.offset_of(state, here))
@@ -939,7 +957,7 @@ def _next_on_path(
     alone = path.end == 1.0 and not (timed.scheduled or timed.torques is not None)
     if alone and bounds.brake is not None:
         # On so short a path each joint moves to the end on its own, as fast as it can stop there.
-        dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
+        dq = np.minimum(np.maximum(farthest(rest, bounds.brake), step_bounds.lower), step_bounds.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
         place = 1.0 - (1.0 - here) * min(ahead / max(left, FOLLOWING.arrived), 1.0)
         return _Proposal(place, left, True, True, dq, rest)
@@ -958,7 +976,7 @@ def _next_on_path(
         units,
         bounds.bound,
         braking,
-        box.sides,
+        step_bounds.both,
         PATH_TOLERANCES,
         here,
         progress.speed,
@@ -988,22 +1006,22 @@ def _admitted(progress: PathProgress, place: float, tasks: LinearRows, motion: A
     return motion + objective.displacement(change)
 
 
-def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateStep:
+def reduce_remaining(progress: PathProgress, constraints: StepConstraints) -> CandidateStep:
     """Return the step that reduces the remaining errors at the end of the path, damped until it does."""
     objective = progress.objective
     damping = progress.damping
     found = None
-    state = bounds.state
+    state = constraints.state
     cost = objective.cost(state)
-    if bounds.retreating:
-        found = reduce_errors(objective, bounds, damping)
+    if constraints.retreating:
+        found = reduce_errors(objective, constraints, damping)
         if found.x is not None:
             return CandidateStep(objective.displacement(found.x), progress, found)
     for _ in range(
         FOLLOWING.attempts if cost > (FOLLOWING.negligible_error * objective.arm.length) ** 2 else 0
     ):
-        found = reduce_errors(objective, bounds, damping)
-        x = None if found.x is None else correct_curvature(objective, bounds, found.x)
+        found = reduce_errors(objective, constraints, damping)
+        x = None if found.x is None else correct_curvature(objective, constraints, found.x)
         if (
             x is not None
             and objective.cost(objective.state_after(state, x)) < (1.0 - DESCENT.converged) * cost
@@ -1011,7 +1029,9 @@ def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateSte
             less_damped = progress._replace(damping=max(damping * DESCENT.decrease, DESCENT.least_factor))
             return CandidateStep(objective.displacement(x), less_damped, found)
         damping *= DESCENT.increase
-    rest = np.clip(np.zeros(len(bounds.lower)), bounds.lower, bounds.upper)  # the arm may have to brake
+    rest = np.clip(
+        np.zeros(len(constraints.lower)), constraints.lower, constraints.upper
+    )  # the arm may have to brake
     reason = ""
     if not np.any(rest):
         reason = _describe_end(objective, state)
@@ -1037,7 +1057,7 @@ def check_step(
     candidate: CandidateStep,
     state: ChainState,
     bounds: JointBounds,
-    box: StepBox,
+    step_bounds: StepBounds,
     avoidance: Avoidance | None,
     before: PathProgress,
 ) -> Step:
@@ -1045,7 +1065,7 @@ def check_step(
     arm = state.arm
     progress = candidate.progress
     dq = candidate.dq
-    violated = box.violated_constraints
+    violated = step_bounds.violated_constraints
     share = 1.0
     stopping: Array | None = None
     messages = _NO_MESSAGES
@@ -1053,7 +1073,7 @@ def check_step(
     if not isfinite(dq @ dq):
         dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
     if avoidance is not None:
-        dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
+        dq[arm.columns] = np.minimum(np.maximum(dq, step_bounds.lower), step_bounds.upper)[arm.columns]
         wanted = dq
         dq, share, stopping, relaxed = avoidance.clear_step(state, wanted)
         if share < 1.0 and not progress.arrived:
@@ -1076,13 +1096,13 @@ def check_step(
     objective = progress.objective
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)
-    sides = box.sides if share == 1.0 else np.outer((-np.inf, np.inf), np.ones(arm.nv))
+    both = step_bounds.both if share == 1.0 else np.outer((-np.inf, np.inf), np.ones(arm.nv))
     before_error, after_error = kernels.look_ahead(
         arm.kinematics.constants,
         state.raw_positions,
         bounds.units,
-        sides,
-        bounds.edges,
+        both,
+        bounds.position_limits,
         state.placements.points,
         objective.chain.targets,
         objective.chain.flags,

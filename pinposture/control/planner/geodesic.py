@@ -17,9 +17,9 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
-from pinposture.control.limits import JointBounds, Limits, StepBox, require_limits
+from pinposture.control.limits import JointBounds, Limits, StepBounds, require_limits
 from pinposture.control.planner.avoidance import Avoidance, ClearStep, ConstraintRows, Solution, solve
-from pinposture.control.planner.damped_least_squares import PlanningProblem, StepBounds, solve_posture
+from pinposture.control.planner.damped_least_squares import PlanningProblem, StepConstraints, solve_posture
 from pinposture.control.planner.follow import (
     FOLLOWING,
     CandidateStep,
@@ -93,8 +93,8 @@ class Geodesic:
     If the constraints are infeasible, they are relaxed in this order, and `Step.violated_constraints`
     names them: tasks and posture, by their weights, tasks with priority last; then the margin to obstacles,
     which the next steps restore as far as possible; then acceleration limits, if braking would cause a
-    collision, and position limits, as in `Limits.box`. Velocity limits always hold, and so do torque limits
-    of motions, if the arm starts within them; torques at rest count as constraints.
+    collision, and position limits, as in `Limits.step_bounds`. Velocity limits always hold, and so do torque
+    limits of motions, if the arm starts within them; torques at rest count as constraints.
 
     Attributes:
         joint_weight: weight of joint motion relative to control point motion: the distance, in module
@@ -255,7 +255,9 @@ class Geodesic:
         return path
 
     def _problem(self, objective: Objective, state: ChainState, bounds: JointBounds) -> PlanningProblem:
-        return PlanningProblem(objective, state, bounds.edges, Avoidance.of(self.scene, objective, bounds))
+        return PlanningProblem(
+            objective, state, bounds.position_limits, Avoidance.of(self.scene, objective, bounds)
+        )
 
     def _plan(self, now: _Situation, progress: PathProgress | None, effort: bool) -> PathProgress:
         """Return the progress to another target, on the current path if it can be bent.
@@ -323,8 +325,8 @@ class Geodesic:
         avoidance = Avoidance(model, objective, bounds, memory.dq, self.offset, memory.stopping)
         if not (avoidance.moving or avoidance.offset is not None or avoidance.lost(state)):
             return memory.braked(limits, state)
-        box = bounds.box(state, memory.dq)
-        cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
+        step_bounds = bounds.step_bounds(state, memory.dq)
+        cleared = _smallest_step(avoidance, StepConstraints.of(objective, state, step_bounds, avoidance))
         return replace(memory, dq=cleared.dq, stopping=cleared.stopping)
 
 
@@ -368,9 +370,9 @@ class _Situation:
         self._avoidance: tuple[PathProgress, Avoidance | None] | None = None
 
     @cached_property
-    def box(self) -> StepBox:
+    def step_bounds(self) -> StepBounds:
         """The steps that the limits allow."""
-        return self.bounds.box(self.state, self.previous)
+        return self.bounds.step_bounds(self.state, self.previous)
 
     @cached_property
     def objective(self) -> Objective:
@@ -446,7 +448,7 @@ class _Situation:
         avoidance = self.avoidance(before)
         if avoidance is not None and not avoidance.still:
             return None
-        step = stop_on_path(before, self.state, self.bounds, self.box, avoidance)
+        step = stop_on_path(before, self.state, self.bounds, self.step_bounds, avoidance)
         return step if self.moves(step) else None
 
     def remember_goal(self, step: Step) -> Step:
@@ -503,15 +505,15 @@ def _pursue_goal(now: _Situation) -> Step | None:
 
 def _return_into_limits(now: _Situation) -> Step | None:
     """Take a step back into the position limits, where a path can begin."""
-    box = now.box
+    step_bounds = now.step_bounds
     state = now.state
-    if not box.outside or (now.before is not None and _is_almost_inside(state, now.bounds)):
+    if not step_bounds.outside or (now.before is not None and _is_almost_inside(state, now.bounds)):
         return None
     controller = now.controller
     dq = np.zeros(state.arm.nv)
-    violated = box.violated_constraints
+    violated = step_bounds.violated_constraints
     columns = state.arm.columns
-    dq[columns] = np.clip(dq, box.lower, box.upper)[columns]
+    dq[columns] = np.clip(dq, step_bounds.lower, step_bounds.upper)[columns]
     objective = now.objective
     avoidance = Avoidance.of(
         controller.scene, objective, now.bounds, now.previous, controller.offset, now.braking
@@ -520,7 +522,9 @@ def _return_into_limits(now: _Situation) -> Step | None:
     stopping = None
     if avoidance is not None:
         if avoidance.moving or avoidance.offset is not None:
-            evading = _smallest_motion(avoidance, StepBounds.of(objective, state, box, avoidance))
+            evading = _smallest_motion(
+                avoidance, StepConstraints.of(objective, state, step_bounds, avoidance)
+            )
             dq[objective.columns] = evading[objective.columns]
         dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
         if share < 1.0:
@@ -545,12 +549,12 @@ def _back_out(now: _Situation) -> Step | None:
     avoidance = Avoidance(model, now.objective, now.bounds, now.previous, stopping=now.braking)
     if avoidance.near(state).minimum >= 0.0:
         return None
-    cleared = _smallest_step(avoidance, StepBounds.of(now.objective, state, now.box, avoidance))
+    cleared = _smallest_step(avoidance, StepConstraints.of(now.objective, state, now.step_bounds, avoidance))
     after = state.moved(cleared.dq)
     gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
     if gained < GEODESIC.least_clearance_gain * state.arm.length:
         return None
-    violated = now.box.violated_constraints + cleared.violated_constraints
+    violated = now.step_bounds.violated_constraints + cleared.violated_constraints
     violated += avoidance.describe_violations(state)
     return _step_before_planning(state, now.target, cleared.dq, violated, "", cleared.stopping)
 
@@ -579,14 +583,14 @@ def _follow_path(now: _Situation) -> Step:
         step = fast_step(progress, state, now.bounds, now.previous, avoidance=avoidance)
         if step is not None:
             return now.remember_goal(step)
-    candidate = propose(progress, state, now.bounds, now.box, avoidance)
+    candidate = propose(progress, state, now.bounds, now.step_bounds, avoidance)
     if now.torques is not None:
         avoidance = now.limits_alone if avoidance is None else avoidance
         if not now.torques.keep_limits(candidate.dq):
-            bounds = StepBounds.of(progress.objective, state, now.box, avoidance)
-            dq, found = _within_torques(progress.objective, bounds, now.torques, candidate.dq)
+            constraints = StepConstraints.of(progress.objective, state, now.step_bounds, avoidance)
+            dq, found = _within_torques(progress.objective, constraints, now.torques, candidate.dq)
             candidate = candidate if found is None else CandidateStep(dq, candidate.progress, found)
-    step = check_step(candidate, state, now.bounds, now.box, avoidance, progress)
+    step = check_step(candidate, state, now.bounds, now.step_bounds, avoidance, progress)
     at_rest = now.previous is None or not np.any(now.previous)
     if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
         step = _explain_collision(step, avoidance, state)
@@ -594,7 +598,7 @@ def _follow_path(now: _Situation) -> Step:
 
 
 def _within_torques(
-    objective: Objective, bounds: StepBounds, torques: StepTorques, dq: Array
+    objective: Objective, constraints: StepConstraints, torques: StepTorques, dq: Array
 ) -> tuple[Array, Solution | None]:
     """Return the step within torque limits that is closest to one that exceeds them.
 
@@ -612,7 +616,7 @@ def _within_torques(
     for _ in range(GEODESIC.torque_iterations):
         matrix, least = torques.rows(closest)
         limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
-        found = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows, hard=limits)
+        found = solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows, hard=limits)
         if found.x is None:
             return dq, None
         closest = objective.displacement(found.x)
@@ -717,29 +721,30 @@ def adopt_plan(
     return PathProgress.begin(timed, late.dq)._replace(expected=progress.expected)
 
 
-def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
+def _smallest_step(avoidance: Avoidance, constraints: StepConstraints) -> ClearStep:
     """Return the smallest step within bounds that keeps or makes the arm clear."""
-    return avoidance.clear_step(bounds.state, _smallest_motion(avoidance, bounds))
+    return avoidance.clear_step(constraints.state, _smallest_motion(avoidance, constraints))
 
 
-def _smallest_motion(avoidance: Avoidance, bounds: StepBounds) -> Array:
-    """Return the smallest displacement within bounds, (nv,) [rad or m], by which the arm evades obstacles."""
-    solver = ChainSolver(avoidance.objective, bounds.state, weight=0.0)
-    rest = np.zeros(len(bounds.lower))
-    found = solve_posture(solver, solver.covered(rest), 1.0, rest, bounds).x
-    x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
+def _smallest_motion(avoidance: Avoidance, constraints: StepConstraints) -> Array:
+    """Return the smallest displacement within constraints by which the arm evades obstacles, (nv,)."""
+    solver = ChainSolver(avoidance.objective, constraints.state, weight=0.0)
+    rest = np.zeros(len(constraints.lower))
+    found = solve_posture(solver, solver.covered(rest), 1.0, rest, constraints).x
+    x = np.clip(rest, constraints.lower, constraints.upper) if found is None else found
     dq = avoidance.objective.displacement(x)
-    torques = avoidance.torques_at(bounds.state)
+    torques = avoidance.torques_at(constraints.state)
     if torques is None or torques.keep_limits(dq):
         return dq
-    return _within_torques(avoidance.objective, bounds, torques, dq)[0]
+    return _within_torques(avoidance.objective, constraints, torques, dq)[0]
 
 
 def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
     """Whether joints are outside their limits at most as far as noise and disturbances take an arm."""
     positions = state.raw_positions
     most = FOLLOWING.most_deviation * state.arm.joint_units
-    return bool(np.all((positions >= bounds.edges[0] - most) & (positions <= bounds.edges[1] + most)))
+    lower, upper = bounds.position_limits
+    return bool(np.all((positions >= lower - most) & (positions <= upper + most)))
 
 
 def _rest(progress: PathProgress, state: ChainState) -> Array:

@@ -396,8 +396,8 @@ class ChainSolver:
         """
         n = len(center)
         x = np.empty(n)
-        sides = (center > upper).astype(np.int8) - (center < lower).astype(np.int8)
-        kernels.minimise_in_box(self._points, errors, np.full(n, damping), center, lower, upper, sides, x)
+        at_bound = (center > upper).astype(np.int8) - (center < lower).astype(np.int8)
+        kernels.minimise_in_box(self._points, errors, np.full(n, damping), center, lower, upper, at_bound, x)
         return x
 
     def constrained_step(

@@ -209,14 +209,14 @@ class JointPath:
         vars(other).update({name: vars(self)[name] for name in kept})
         return other
 
-    def within(self, edges: Array) -> JointPath:
+    def within(self, position_limits: Array) -> JointPath:
         """Return the path with its spline slopes reduced to keep position limits, as the waypoints do.
 
         Args:
-            edges: smallest and largest joint positions, (2, nv) [rad or m]; from a start beyond them, the
-                curve returns.
+            position_limits: smallest and largest joint positions, (2, nv) [rad or m]; from a start beyond
+                them, the curve returns.
         """
-        lowest, highest = edges - self.positions
+        lowest, highest = position_limits - self.positions
         room = np.minimum(np.maximum(highest, 0.0) - self.offsets, self.offsets - np.minimum(lowest, 0.0))
         # The curve is in the hull of its Bezier points: waypoints, and a third of a slope before and after.
         slopes = np.maximum(np.minimum(self.slopes, 3.0 * room), -3.0 * room)
@@ -226,24 +226,24 @@ class JointPath:
         vars(other)["slopes"] = slopes
         return other
 
-    def bent(self, place: float, change: Array, edges: Array) -> JointPath:
+    def bent(self, place: float, change: Array, position_limits: Array) -> JointPath:
         """Return the path to another end, with a displacement that grows linearly from a place on.
 
         Args:
             place: where the displacement begins.
             change: displacement of the end, (nv,) [rad or m].
-            edges: smallest and largest joint positions, (2, nv) [rad or m].
+            position_limits: smallest and largest joint positions, (2, nv) [rad or m].
         """
         shares = np.arange(len(self.offsets)) - place
         shares = np.maximum(shares / max(shares[-1], 1e-9), 0.0)
         offsets = self.offsets + shares[:, None] * change
-        lowest, highest = edges - self.positions
+        lowest, highest = position_limits - self.positions
         lowest = np.minimum(lowest, 0.0)
         highest = np.maximum(highest, 0.0)
         offsets = np.ascontiguousarray(np.minimum(np.maximum(offsets, lowest), highest))
         return replace(self, offsets=offsets)
 
-    def step_along(self, state: ChainState, place: float, sides: Array) -> PathStep:
+    def step_along(self, state: ChainState, place: float, step_bounds: Array) -> PathStep:
         """Return the step to the farthest place such that the limits admit all places up to it.
 
         Such steps always reach the end. Let L = sum over remaining pieces of max_j |dq_j| / b_j be the length
@@ -255,7 +255,7 @@ class JointPath:
         Args:
             state: the state of the arm.
             place: its place on the path.
-            sides: smallest and largest step, (2, nv) [rad or m].
+            step_bounds: smallest and largest step, (2, nv) [rad or m].
         """
         dq = np.zeros(self.arm.nv)
         reached, left, inside = kernels.step_along(
@@ -266,7 +266,7 @@ class JointPath:
             self.objective.columns,
             self.objective.chain.units,
             place,
-            sides,
+            step_bounds,
             PATH.most_step,
             dq,
         )
@@ -620,6 +620,6 @@ def timed_again(
     torques = profile_effort(arm, bounds, effort)
     profile = None
     if bounds.brake is not None or torques is not None or np.all(np.isfinite(max_rate)):
-        path = path.within(bounds.edges)
+        path = path.within(bounds.position_limits)
         profile = SpeedProfile(path, bounds, max_rate, initial_speed, torques, strict)
     return TimedPath(path, limits, bounds, profile, max_rate, effort)

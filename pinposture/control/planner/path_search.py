@@ -177,7 +177,7 @@ class PathSearch:
         self.arm = problem.objective.arm
         self.least = least
         self.until = until
-        objective, self._start, edges, avoidance = problem
+        objective, self._start, position_limits, avoidance = problem
         self.avoidance = cast(Avoidance, avoidance)
         self.goal = goal
         self._end = np.asarray(self.arm.difference(self._start.q, goal.q))
@@ -190,7 +190,7 @@ class PathSearch:
         self._share = min(1.0, TREES.few_joints / len(objective.columns))
         self._units = self._share * self.arm.joint_units
         self._positions = self.arm.positions(self._start.q)
-        lowest, highest = edges - self._positions
+        lowest, highest = position_limits - self._positions
         farthest = TREES.most_turn * self._units * self.arm.moved
         self._sides = (
             np.maximum(np.minimum(lowest, 0.0), -farthest),

@@ -199,7 +199,7 @@ def plan(
         torques.require_held(state.chain_state, "state")
         if given is not None:
             torques.require_held(given, "target.q")
-    problem = PlanningProblem(objective, state.chain_state, bounds.edges, avoidance)
+    problem = PlanningProblem(objective, state.chain_state, bounds.position_limits, avoidance)
     began = perf_counter()
 
     def report(trying: str, best: JointPath | None) -> None:
@@ -238,13 +238,13 @@ def find_path(
             best path so far.
         goal: the state at the goal; None: it is searched.
     """
-    objective, state, edges, avoidance = problem
+    objective, state, position_limits, avoidance = problem
     good = OBJECTIVE.goal_tolerance * objective.arm.length
     unhindered = problem._replace(avoidance=None)
     if avoidance is None or avoidance.only_torques:
         # The usual goal, if the motors hold the arm there.
         if goal is None and not objective.tasks:
-            goal = _known_goal(objective, edges, state.q)
+            goal = _known_goal(objective, position_limits, state.q)
         if goal is None:
             goal = find_goal(unhindered, good).state
         if avoidance is not None and avoidance.violation(goal) > 0.0:
@@ -301,15 +301,15 @@ def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> Join
         problem: what is planned; its tasks do not shape the path.
         goal: the state at the goal; None: that of the target, if it has one that is clear.
     """
-    objective, state, edges, avoidance = problem
+    objective, state, position_limits, avoidance = problem
     if goal is None:
-        goal = _known_goal(objective, edges, state.q)
+        goal = _known_goal(objective, position_limits, state.q)
         if goal is None or not (avoidance is None or avoidance.allows(goal)):
             return None
     motion = _size(objective, objective.arm.difference(state.q, goal.q))
     if motion * len(objective.columns) > PLAN.most_short_motion:
         return None
-    path = direct_path(objective, state.q, goal.q, edges)
+    path = direct_path(objective, state.q, goal.q, position_limits)
     path = replace(path, task_errors=_task_errors(objective, state, goal))
     if avoidance is None:
         return path
@@ -353,7 +353,7 @@ def shortcut(
     possible = _possible_clearance(avoidance, state, arm.chain_at(goal))
     if not avoidance.keeps(state.q, straight, possible):  # quicker than finding the path
         return None
-    direct = direct_path(objective, state.q, goal, bounds.edges)
+    direct = direct_path(objective, state.q, goal, bounds.position_limits)
     if not _is_clear(direct, avoidance, possible):
         return None
     return replace(direct, scene=avoidance.clearance.scene)
@@ -491,16 +491,16 @@ def _within_limits(problem: PlanningProblem, q: Array) -> ChainState:
 
     Multi-turn joints take the turn nearest to the current state.
     """
-    objective, state, edges, _ = problem
+    objective, state, position_limits, _ = problem
     arm = objective.arm
-    change = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, edges)))
+    change = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, position_limits)))
     here = arm.positions(state.q)
     if not objective.tasks:  # joints beyond the last control point with a target need not move
         last = int(np.flatnonzero(objective.target.has_target)[-1])
         change = change * arm.support[last]
     moved = np.zeros(arm.nv)
     columns = objective.columns
-    moved[columns] = np.clip(here + change, edges[0], edges[1])[columns] - here[columns]
+    moved[columns] = np.clip(here + change, position_limits[0], position_limits[1])[columns] - here[columns]
     return state.moved(moved)
 
 
@@ -517,11 +517,11 @@ def _clearest_path(
     The candidates are those of `_Candidates`. The first clear one is returned; if it is long, the shorter of
     it and the others.
     """
-    objective, state, edges, avoidance = problem
+    objective, state, position_limits, avoidance = problem
     tasks = _task_rows(objective, state, goal)
     if avoidance is None:
         penalties = None if tasks is None else Penalties(tasks)
-        return direct_path(objective, state.q, goal.q, edges, penalties, attempt)
+        return direct_path(objective, state.q, goal.q, position_limits, penalties, attempt)
     possible = _possible_clearance(avoidance, state, goal)
     tolerant = problem._replace(avoidance=avoidance.tolerating(state, goal))
     tried = _Candidates(PathSearch(tolerant, goal, possible, attempt, until), tasks, report)
@@ -549,8 +549,8 @@ class _Candidates:
         self._search = search
         self._tasks = tasks
         self._report = report
-        objective, state, edges, _ = search.problem
-        self._most_direct = direct_path(objective, state.q, search.goal.q, edges)
+        objective, state, position_limits, _ = search.problem
+        self._most_direct = direct_path(objective, state.q, search.goal.q, position_limits)
         self.short = PLAN.most_detour * self._most_direct.length
         self._clear: list[JointPath] = []
         self._hindered: list[tuple[tuple[float, float], JointPath]] = []
@@ -623,20 +623,20 @@ class _Candidates:
     def _relax(self, k: int, variant: int, count: int) -> JointPath:
         """Return a path relaxed among the obstacles, the k-th of an attempt."""
         self._tell(f"relaxation {k + 1} of {count}")
-        objective, start, edges, _ = self._search.problem
+        objective, start, position_limits, _ = self._search.problem
         penalties = self._penalties(PLAN.clearance_roots[(variant + k) % len(PLAN.clearance_roots)])
-        return direct_path(objective, start.q, self._search.goal.q, edges, penalties, variant + k)
+        return direct_path(objective, start.q, self._search.goal.q, position_limits, penalties, variant + k)
 
     def _relax_found(self, found: FoundPath) -> Iterator[JointPath]:
         """Yield a path that was found, shortened and relaxed, and as shortened."""
         search = self._search
         found = search.shorten(found)
         raw = search.path(found)
-        objective, start, edges, _ = search.problem
+        objective, start, position_limits, _ = search.problem
         self._tell(f"relaxation of a path found by {found.found_by}")
         try:
             relaxed = relax_path(
-                objective, start.q, found.offsets, edges, self._penalties(PLAN.searched_root)
+                objective, start.q, found.offsets, position_limits, self._penalties(PLAN.searched_root)
             )
         except KeyboardInterrupt:
             self.judge(raw)
@@ -721,10 +721,10 @@ def replan(
     Returns:
         The path; and the displacement of its end since it was planned, None for a new path.
     """
-    objective, state, edges, avoidance = problem
+    objective, state, position_limits, avoidance = problem
     arm = objective.arm
     before = path.configuration(path.end)
-    known = None if objective.tasks else _known_goal(objective, edges, before)
+    known = None if objective.tasks else _known_goal(objective, position_limits, before)
     if known is not None and (avoidance is None or avoidance.allows(known)):
         goal = known
         clear = True
@@ -747,7 +747,9 @@ def replan(
     too_far = _size(objective, bent) > PLAN.most_bend * _size(objective, arm.difference(state.q, before))
     if place < np.inf and not too_far:
         errors = _task_errors(objective, state, goal, path, place)
-        return replace(path.bent(place, change, edges), objective=objective, task_errors=errors), bent
+        return replace(
+            path.bent(place, change, position_limits), objective=objective, task_errors=errors
+        ), bent
     new = None
     if not objective.tasks or _size(objective, arm.difference(state.q, goal.q)) <= PLAN.least_planned_motion:
         new = short_path(problem, goal)
@@ -769,7 +771,7 @@ def _achievable_error(before: Objective, after: Objective, goal: ChainState) -> 
     return PLAN.noise_factor * (left + moved) if moved <= max(left, small) else 0.0
 
 
-def _known_goal(objective: Objective, edges: Array, before: Array) -> ChainState | None:
+def _known_goal(objective: Objective, position_limits: Array, before: Array) -> ChainState | None:
     """Return the state at the configuration of a target, if it is within limits and takes the posture.
 
     Multi-turn joints are within half a turn of a previous configuration.
@@ -778,8 +780,8 @@ def _known_goal(objective: Objective, edges: Array, before: Array) -> ChainState
     q = objective.target.q
     if q is None or len(objective.active) < arm.n_modules:
         return None
-    goal = ChainState(arm, nearest_turns(arm, q, before, edges))
-    inside = kernels.position_excess(goal.raw_positions, edges, arm.kinematics.columns) == 0.0
+    goal = ChainState(arm, nearest_turns(arm, q, before, position_limits))
+    inside = kernels.position_excess(goal.raw_positions, position_limits, arm.kinematics.columns) == 0.0
     return goal if inside and objective.has_exact_goal else None
 
 

@@ -204,7 +204,7 @@ def direct_path(
     objective: Objective,
     start: Array,
     goal: Array,
-    edges: Array,
+    position_limits: Array,
     penalties: Penalties | None = None,
     variant: int = 0,
 ) -> JointPath:
@@ -214,7 +214,7 @@ def direct_path(
         objective: the objective of the path.
         start: configuration at the start, (nq,).
         goal: configuration at the end, (nq,).
-        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        position_limits: smallest and largest joint positions, (2, nv) [rad or m].
         penalties: further terms; None: none.
         variant: number of the initial guess; others may lead to another path.
     """
@@ -223,7 +223,7 @@ def direct_path(
     largest = float(np.abs(change).max(initial=0.0))
     if penalties is None and largest <= PATH.short_motion:
         return JointPath(objective, start, np.array([np.zeros(arm.nv), objective.displacement(change)]))
-    waypoints = _Waypoints(objective, start, edges)
+    waypoints = _Waypoints(objective, start, position_limits)
     bend = _bend(objective, variant) * largest
     if penalties is None:
         found = waypoints.relax(change, bend)
@@ -237,7 +237,7 @@ def direct_path(
 
 
 def relax_path(
-    objective: Objective, start: Array, offsets: Array, edges: Array, penalties: Penalties
+    objective: Objective, start: Array, offsets: Array, position_limits: Array, penalties: Penalties
 ) -> tuple[JointPath, JointPath]:
     """Find the most direct path near a given one.
 
@@ -245,13 +245,13 @@ def relax_path(
         objective: the objective of the path.
         start: configuration at the start, (nq,).
         offsets: waypoints of the given path as displacements from there, (N + 1, nv) [rad or m].
-        edges: smallest and largest joint positions, (2, nv) [rad or m].
+        position_limits: smallest and largest joint positions, (2, nv) [rad or m].
         penalties: further terms.
 
     Returns:
         The path on a spline through its waypoints, and with straight lines between them.
     """
-    waypoints = _Waypoints(objective, start, edges)
+    waypoints = _Waypoints(objective, start, position_limits)
     # Distances between waypoints, where pieces are divided, are known to the tolerance.
     spare = penalties.least + MOTION_TOLERANCE * objective.arm.length
     few = AMONG_OBSTACLES.pieces_of_given[0]
@@ -283,14 +283,16 @@ class _Waypoints:
         within: smallest and largest displacement, 2 x (n,).
     """
 
-    def __init__(self, objective: Objective, start: Array, edges: Array) -> None:
+    def __init__(self, objective: Objective, start: Array, position_limits: Array) -> None:
         arm = objective.arm
         chain = objective.chain
         self.weight = objective.mu**2
         self.objective = objective
         self.start = start
         self.positions = arm.difference(arm.origin, start)
-        lower, upper = ((edge - self.positions)[objective.columns] / objective.units for edge in edges)
+        lower, upper = (
+            (edge - self.positions)[objective.columns] / objective.units for edge in position_limits
+        )
         # From a start outside its limits, the waypoints come back along the path.
         self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
         constants = arm.kinematics.constants

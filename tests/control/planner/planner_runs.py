@@ -44,10 +44,10 @@ class Case(NamedTuple):
 
 def within(arm: pp.Arm, limits: pp.Limits, rng: np.random.Generator, amplitude: float = 1.0) -> np.ndarray:
     """A configuration inside the limits; of an arm without, within half a turn."""
-    edges = limits.for_arm(arm).edges
+    position_limits = limits.for_arm(arm).position_limits
     wide = np.pi * arm.joint_units
-    lower = np.maximum(edges[0], -wide)
-    upper = np.minimum(edges[1], wide)
+    lower = np.maximum(position_limits[0], -wide)
+    upper = np.minimum(position_limits[1], wide)
     return arm.configuration(amplitude * rng.uniform(lower, upper))
 
 

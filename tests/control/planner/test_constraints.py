@@ -12,7 +12,7 @@ from arms import template_arm
 import pinposture as pp
 from pinposture.collision import CollisionModel
 from pinposture.control import Geodesic
-from pinposture.control.constraint import sides_of
+from pinposture.control.constraint import inequalities_of
 from pinposture.errors import ControllerError, InvalidValue
 from pinposture.motion import Tracker
 
@@ -232,11 +232,11 @@ def test_a_constraint_that_no_path_keeps_is_named_as_what_blocks_it() -> None:
 def test_the_sides_are_those_of_differences(kind: str) -> None:
     rng = np.random.default_rng(6)
     state = arm().at(pp.arm.smooth_configuration(arm(), rng, 0.8))
-    sides = sides_of([KINDS[kind]], state)
-    assert max(0.0, excess_by_pinocchio(kind, state.q)) == pytest.approx(sides.violation, abs=1e-12)
+    inequalities = inequalities_of([KINDS[kind]], state)
+    assert max(0.0, excess_by_pinocchio(kind, state.q)) == pytest.approx(inequalities.violation, abs=1e-12)
     for unit in np.eye(arm().nv):
-        ahead, behind = (sides_of([KINDS[kind]], state.moved(h * unit)).room for h in (1e-6, -1e-6))
-        np.testing.assert_allclose(sides.matrix @ unit, (ahead - behind) / 2e-6, atol=1e-8)
+        ahead, behind = (inequalities_of([KINDS[kind]], state.moved(h * unit)).room for h in (1e-6, -1e-6))
+        np.testing.assert_allclose(inequalities.matrix @ unit, (ahead - behind) / 2e-6, atol=1e-8)
 
 
 class Given:

@@ -14,7 +14,7 @@ from pinposture.arm import smooth_configuration
 from pinposture.control.planner.avoidance import ConstraintRows
 from pinposture.control.planner.damped_least_squares import (
     PlanningProblem,
-    StepBounds,
+    StepConstraints,
     minimize,
     solve_posture,
 )
@@ -185,7 +185,7 @@ def test_steps_among_few_and_many_constraints_are_optimal(
         rows = np.einsum("ri,rij->rj", ways, state.jacobians[links])
         least = -rng.uniform(0.0, 0.004, count) * arm.length
         edge = np.full(arm.nv, 0.1)
-        bounds = StepBounds(state, -edge, edge, ConstraintRows(rows, least))
+        bounds = StepConstraints(state, -edge, edge, ConstraintRows(rows, least))
         solver, (errors, squares) = ChainSolver(objective, state), objective.point_errors(state)
         damping = 1e-3 * squares
         found = solve_posture(solver, errors, damping, np.zeros(arm.nv), bounds)

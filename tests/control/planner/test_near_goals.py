@@ -82,9 +82,9 @@ def test_the_compiled_search_ends_in_a_minimum(name: str, seed: int) -> None:
     points = reachable + (0.05 * arm.length * rng.normal(size=reachable.shape) @ arm.plane.T) @ arm.plane
     weights = np.where(np.arange(arm.n_modules) == 1, 0.0, rng.uniform(0.5, 2.0, arm.n_modules))
     objective = Objective(arm, pp.Target.from_points(arm, points, weights))
-    edges = np.array([arm.limits.lower, arm.limits.upper])
+    position_limits = np.array([arm.limits.lower, arm.limits.upper])
     start = arm.chain_at(q)
-    found = minimize(PlanningProblem(objective, start, edges), start, 0.0)
+    found = minimize(PlanningProblem(objective, start, position_limits), start, 0.0)
     chosen = np.flatnonzero(weights)
 
     def squares(at: np.ndarray) -> float:
@@ -97,7 +97,7 @@ def test_the_compiled_search_ends_in_a_minimum(name: str, seed: int) -> None:
     errors = np.linalg.norm((points - found.state.points)[chosen], axis=1)
     assert found.mean_error == pytest.approx(errors.mean(), rel=1e-9, abs=1e-14)
     assert found.cost < squares(q)
-    inside = np.minimum(found.state.q - edges[0], edges[1] - found.state.q) > 1e-3
+    inside = np.minimum(found.state.q - position_limits[0], position_limits[1] - found.state.q) > 1e-3
     h = 1e-5
     slopes = np.array(
         [

@@ -85,7 +85,7 @@ def search(
     bounds = pp.Limits().for_arm(arm())
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal), constraints=tuple(constraints))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
-    problem = PlanningProblem(objective, arm().chain_at(start), bounds.edges, avoidance)
+    problem = PlanningProblem(objective, arm().chain_at(start), bounds.position_limits, avoidance)
     return PathSearch(problem, arm().chain_at(goal), MARGIN, seed)
 
 
@@ -158,7 +158,7 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
     penalties = Penalties(None, avoidance, 30.0, MARGIN)
-    _, relaxed = relax_path(objective, state.q, found.offsets, bounds.edges, penalties)
+    _, relaxed = relax_path(objective, state.q, found.offsets, bounds.position_limits, penalties)
     assert relaxed.length < 0.8 * JointPath(objective, start, found.offsets).length
     assert smallest_distance(scene, relaxed.configurations) > MARGIN - 1e-3
 

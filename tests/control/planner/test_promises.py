@@ -80,9 +80,11 @@ def drawn_arm(rng: np.random.Generator) -> pp.Arm:
 def test_any_arm_arrives_with_joints_of_any_speed_from_any_winding(seed: int, decades: float) -> None:
     rng = np.random.default_rng(seed)
     arm = drawn_arm(rng)
-    edges = np.clip([arm.limits.lower, arm.limits.upper], -1e6, 1e6)
-    edges = np.where(np.array(arm.kinematics.endless), np.pi * np.array([[-1.0], [1.0]]), edges)
-    start, goal = (arm.configuration(rng.uniform(*edges)) for _ in range(2))
+    position_limits = np.clip([arm.limits.lower, arm.limits.upper], -1e6, 1e6)
+    position_limits = np.where(
+        np.array(arm.kinematics.endless), np.pi * np.array([[-1.0], [1.0]]), position_limits
+    )
+    start, goal = (arm.configuration(rng.uniform(*position_limits)) for _ in range(2))
     slow = rng.random(arm.nv) < rng.random()
     step = arm.joint_units * 10.0 ** -np.where(slow, rng.uniform(0.0, decades, arm.nv), rng.random(arm.nv))
     case = Case(arm, start, pp.Target.from_configuration(arm, goal), pp.Limits(step=step))

@@ -45,8 +45,8 @@ def objective_of(arm: pp.Arm, goal: np.ndarray, mu: float = MU) -> Objective:
 
 
 def way(arm: pp.Arm, start: np.ndarray, goal: np.ndarray, mu: float = MU, **options: object) -> JointPath:
-    edges = np.array([arm.limits.lower, arm.limits.upper])
-    return direct_path(objective_of(arm, goal, mu), start, goal, edges, **options)
+    position_limits = np.array([arm.limits.lower, arm.limits.upper])
+    return direct_path(objective_of(arm, goal, mu), start, goal, position_limits, **options)
 
 
 def energy(arm: pp.Arm, start: np.ndarray, offsets: np.ndarray, mu: float) -> float:
@@ -232,7 +232,7 @@ def test_a_given_path_is_relaxed_in_few_pieces_and_then_in_more(
     two: pp.Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     start, goal = (two.configuration(q) for q in ENDS[0])
-    edges = np.array([two.limits.lower, two.limits.upper])
+    position_limits = np.array([two.limits.lower, two.limits.upper])
     detour = np.array([np.zeros(2), [1.5, 1.5], two.difference(start, goal)])
     counts: list[int] = []
     step = kernels.step_waypoints
@@ -243,7 +243,7 @@ def test_a_given_path_is_relaxed_in_few_pieces_and_then_in_more(
 
     monkeypatch.setattr(kernels, "step_waypoints", counted)
     objective = objective_of(two, goal)
-    smooth, found = relax_path(objective, start, detour, edges, Penalties())
+    smooth, found = relax_path(objective, start, detour, position_limits, Penalties())
     assert counts == sorted(counts)
     assert 0 < counts.count(32) <= COARSE.steps
     assert 0 < counts.count(64) <= FINE.steps
