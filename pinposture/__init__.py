@@ -71,10 +71,10 @@ if TYPE_CHECKING:
         load,
         save,
     )
+    from pinposture.motion.batch import track_many
     from pinposture.motion.identification import identify
     from pinposture.motion.touch import Touch
     from pinposture.motion.track import track
-    from pinposture.motion.track_many import track_many
     from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
     from pinposture.task.find_path import find_path
     from pinposture.task.follow_leader import Leader, follow_leader, path_deviation

@@ -1,7 +1,7 @@
 """Runs, trajectories, batches, the streaming controller, and their files."""
 
 from pinposture.motion.actuators import Actuators, Tendon
-from pinposture.motion.batch import Batch
+from pinposture.motion.batch import Batch, track_many
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.feedback import JointFailure
 from pinposture.motion.files import load, save
@@ -20,7 +20,6 @@ from pinposture.motion.run import Run
 from pinposture.motion.shape_estimator import ShapeEstimator
 from pinposture.motion.touch import Touch
 from pinposture.motion.track import track
-from pinposture.motion.track_many import track_many
 from pinposture.motion.tracker import Report, Tracker
 from pinposture.motion.trajectory import Trajectory
 

@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from pinposture._validation import LARGEST_NUMBER, require_instance
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue, PostureError, enumerated
-from pinposture.motion.drive_fit import (
+from pinposture.motion.drive_response import (
     COMPLIANCE,
     DELAY,
     DRIVE_FIT,
     FRICTION,
     LAG,
+    DriveModel,
     Fit,
     Series,
     explained_share,
     fit_drives,
     fit_gain,
 )
-from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.joint_trajectory import METRE, RADIAN
 from pinposture.motion.log import Log
 from pinposture.motion.touch import TOUCH, Touch, TouchDetector, largest_of_kind

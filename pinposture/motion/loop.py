@@ -18,8 +18,8 @@ from pinposture.control.controller import Info, Memory, next_step
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
 from pinposture.errors import InvalidValue, enumerated, warn_caller
+from pinposture.motion.arrival import ERROR_ROUNDING, STALL, STEP_ROUNDING
 from pinposture.motion.run import Run
-from pinposture.motion.tolerances import ERROR_ROUNDING, STALL, STEP_ROUNDING
 from pinposture.placement import Target
 from pinposture.units import length_text
 

@@ -20,9 +20,9 @@ from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import require_limits
 from pinposture.control.torque_limits import find_overload, require_held
+from pinposture.motion.arrival import ARRIVAL
 from pinposture.motion.loop import Callback, RecordedLoop, describe_arrival, in_scene
 from pinposture.motion.run import ENDINGS, RAISE_STEPS, Run
-from pinposture.motion.tolerances import ARRIVAL
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]

@@ -32,14 +32,13 @@ from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
 from pinposture.control.torque_limits import find_overload
 from pinposture.errors import ControllerError, InvalidValue, PostureError
-from pinposture.motion.arrival import Arrival, Blockage
+from pinposture.motion.arrival import ARRIVAL, ERROR_ROUNDING, MARGIN_ROUNDING, REST, STALL, Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.feedback import FEEDBACK, Feedback, FeedbackState, JointFailure, read_start
 from pinposture.motion.loop import Loop, describe_binding_limits, in_scene
 from pinposture.motion.obstacle_velocities import ObstacleVelocities
 from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
-from pinposture.motion.tolerances import ARRIVAL, ERROR_ROUNDING, MARGIN_ROUNDING, REST, STALL
 from pinposture.motion.touch import Touch, TouchDetector, read_torques
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pinposture.motion.tolerances import FULL
+from pinposture.motion.arrival import FULL
 from pinposture.placement.target import Moved
 from pinposture.units import error_text, length_text, number_text
 

@@ -23,22 +23,22 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import PATH, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
+from pinposture.motion.arrival import ARRIVAL, STALL
 from pinposture.motion.held import HeldObject
 from pinposture.motion.loop import RecordedLoop, in_scene
 from pinposture.motion.run import Run
-from pinposture.motion.tolerances import ARRIVAL, STALL
 from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.placement import Target
 from pinposture.placement.target import known_target
 from pinposture.task.keyframe import Keyframe, as_keyframes, placed
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.passage import require_passage
 from pinposture.task.reference import (
     Reference,
     Way,
     Waypoint,
     off_curve,
     require_held_postures,
+    require_passage,
     tip_off,
 )
 from pinposture.units import length_text

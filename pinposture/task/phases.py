@@ -64,8 +64,7 @@ from pinposture.task.keyframe import (
     with_fitting_joints,
 )
 from pinposture.task.keyframes import ROWS, TRANSITION, Progress, keyframe_reference
-from pinposture.task.passage import require_wide_pipe
-from pinposture.task.reference import Reference, Waypoint, smooth_step
+from pinposture.task.reference import Reference, Waypoint, require_wide_pipe, smooth_step
 from pinposture.task.wrap import (
     Grip,
     Wrapping,

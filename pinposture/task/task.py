@@ -77,7 +77,6 @@ from pinposture.task.keyframe import (
     with_fitting_joints,
 )
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.passage import require_passage
 from pinposture.task.perform import PERFORM, perform
 from pinposture.task.phases import (
     Phase,
@@ -94,6 +93,7 @@ from pinposture.task.reference import (
     Reference,
     posture_feasibility,
     require_held_postures,
+    require_passage,
     require_room,
 )
 from pinposture.toml import TomlLayout, Usual

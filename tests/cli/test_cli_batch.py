@@ -108,7 +108,7 @@ def test_the_exit_code_tells_whether_all_got_there(command, arm_file):
 
 
 def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
-    module = import_module("pinposture.motion.track_many")  # its name is that of the function, too
+    module = import_module("pinposture.motion.batch")
     original = module.track
     begun = []
 

@@ -18,8 +18,8 @@ from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureWarning, TaskError, no_warnings
 from pinposture.task.follow_leader import follow_leader
-from pinposture.task.passage import require_passage
 from pinposture.task.perform import perform
+from pinposture.task.reference import require_passage
 
 TASK = Path(__file__).parents[2] / "examples" / "tasks" / "pipe.toml"
 
