@@ -42,7 +42,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 232,  # 170
+    "files": 227,  # 170
     "definitions": 5241,
     "constants": 812,
     "import cycles at run time": 0,  # 0
