@@ -375,6 +375,7 @@ class PathSearch:
     def shorten(self, found: FoundPath) -> FoundPath:
         """Straighten parts of a path where that is clear and shorter, for all or some consecutive joints."""
         path = divide(found.offsets, self._units)
+        lengths = self._measure(path)
         columns = self.problem.objective.columns
         for number in range(SHORTENING.shortcuts):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
@@ -389,12 +390,15 @@ class PathSearch:
                 whole = straight
                 straight = before.copy()
                 straight[:, some] = whole[:, some]
-            if self._length(straight) < 0.999 * self._length(before) and self.is_clear(straight):
+            shorter = self._measure(straight).sum() < 0.999 * lengths[i:j].sum()
+            if shorter and self.is_clear(straight):
                 path = np.concatenate([path[:i], divide(straight, self._units), path[j + 1 :]])
+                lengths = self._measure(path)
         return FoundPath(path, found.found_by)
 
-    def _length(self, path: Array) -> float:
-        return float(self.problem.objective.measure_pieces(self._positions, path).sum())
+    def _measure(self, path: Array) -> Array:
+        """Return the lengths of the pieces of a path, (N,) [m]."""
+        return self.problem.objective.measure_pieces(self._positions, path)
 
 
 def divide(path: Array, units: Array) -> Array:
