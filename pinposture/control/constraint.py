@@ -120,12 +120,12 @@ def describe_violated(inequalities: Inequalities, length: float) -> tuple[str, .
 
 def _rows(constraint: Constraint, name: str, state: ArmState) -> tuple[Array, Array, Array]:
     what = f"{name}.rows(state)"
-    given = call_own(name, "rows(state)", constraint.rows, state)
-    if not isinstance(given, tuple) or len(given) != 3:
-        raise InvalidValue(what, given, ROWS)
-    matrix = finite_array(f"{what}, matrix", given[0], (None, state.arm.nv))
-    lower = as_floats(f"{what}, lower", given[1], ROWS)
-    upper = as_floats(f"{what}, upper", given[2], ROWS)
+    sides = call_own(name, "rows(state)", constraint.rows, state)
+    if not isinstance(sides, tuple) or len(sides) != 3:
+        raise InvalidValue(what, sides, ROWS)
+    matrix = finite_array(f"{what}, matrix", sides[0], (None, state.arm.nv))
+    lower = as_floats(f"{what}, lower", sides[1], ROWS)
+    upper = as_floats(f"{what}, upper", sides[2], ROWS)
     shape = (len(matrix),)
     if lower.shape != shape or upper.shape != shape:
         raise InvalidValue(f"{what}, bounds (shape)", (lower.shape, upper.shape), f"{shape} each")

@@ -302,8 +302,8 @@ def _require_memory(name: str, memory: object, nv: int) -> None:
         return
     if not isinstance(memory, Memory):
         raise _invalid(name, "memory", memory, "a Memory(dq), or a class derived from it; or None")
-    own = vars(type(memory))
-    if "__init__" in own and "__dataclass_fields__" not in own:
+    names = vars(type(memory))
+    if "__init__" in names and "__dataclass_fields__" not in names:
         raise _invalid(name, "memory", memory, "a Memory(dq), or a dataclass derived from it")
     if not _is_displacement(memory.dq, nv):
         raise _invalid(name, "memory.dq", memory.dq, f"the step, an array of {nv} finite numbers")

@@ -116,18 +116,18 @@ def assess_support(
     effort = arm.effort[limited]
     alone = float(np.max(np.abs(holding[limited]) / effort, initial=0.0))
     needed = np.vstack([torques[limited], -torques[limited]]) / np.tile(effort, 2)[:, None]
-    own = np.concatenate([holding[limited], -holding[limited]]) / np.tile(effort, 2)
+    rows = np.concatenate([holding[limited], -holding[limited]]) / np.tile(effort, 2)
     count = torques.shape[1]
-    found = linprog(
+    solution = linprog(
         np.eye(count + 1)[-1],
-        A_ub=np.column_stack([needed, -np.ones(len(own))]),
-        b_ub=-own,
+        A_ub=np.column_stack([needed, -np.ones(len(rows))]),
+        b_ub=-rows,
         bounds=(0.0, None),
     )
-    if not found.success:
+    if not solution.success:
         return Support(touched.points, touched.normals, touched.pairs, alone, alone, holding)
-    relieved = holding + torques @ found.x[:-1]
-    return Support(touched.points, touched.normals, touched.pairs, float(found.x[-1]), alone, relieved)
+    relieved = holding + torques @ solution.x[:-1]
+    return Support(touched.points, touched.normals, touched.pairs, float(solution.x[-1]), alone, relieved)
 
 
 def assess_hold(
@@ -205,7 +205,7 @@ def squeezing_torques(
     torques = _torques(arm, state.q, touched, pushes)
     size = np.abs(wrenches[3:]).max(initial=0.0) or 1.0
     pressing = np.kron(np.eye(len(touched.points)), np.ones(rays))
-    found = linprog(
+    solution = linprog(
         np.tile(np.append(NORMAL_PUSH, np.ones(rays - 1)), len(touched.points)),
         A_ub=-pressing,
         b_ub=np.full(len(pressing), -force),
@@ -213,9 +213,9 @@ def squeezing_torques(
         b_eq=np.zeros(6),
         bounds=(0.0, None),
     )
-    if not (found.success and len(touched.points)):
+    if not (solution.success and len(touched.points)):
         return np.zeros(arm.nv), np.inf
-    needed = torques @ found.x
+    needed = torques @ solution.x
     limited = np.isfinite(arm.effort)
     holding = state.gravity_torques if arm.torques_known else np.zeros(arm.nv)
     shares = np.abs(needed + holding)[limited] / arm.effort[limited]
@@ -290,13 +290,13 @@ def _is_closed(wrenches: Array) -> bool:
     # The largest t for which pushes of at least t, that are 1 together, balance.
     balance = np.column_stack([scaled, scaled.sum(axis=1)])
     total = np.append(np.ones(count), count)
-    found = linprog(
+    solution = linprog(
         -np.eye(count + 1)[-1],
         A_eq=np.vstack([balance, total]),
         b_eq=np.eye(7)[-1],
         bounds=(0.0, None),
     )
-    return bool(found.success and found.x[-1] * count > CLOSED)
+    return bool(solution.success and solution.x[-1] * count > CLOSED)
 
 
 def _largest_mass(arm: Arm, holding: Array, wrenches: Array, torques: Array) -> float:
@@ -315,7 +315,7 @@ def _largest_mass(arm: Arm, holding: Array, wrenches: Array, torques: Array) -> 
     size = np.abs(wrenches[3:]).max(initial=0.0) or 1.0
     scale = np.repeat([1.0, size], 3)
     needed = np.column_stack([torques[limited], np.zeros(len(effort))])
-    found = linprog(
+    solution = linprog(
         -np.eye(count + 1)[-1],
         A_ub=np.vstack([needed, -needed]),
         b_ub=np.concatenate([effort - holding[limited], effort + holding[limited]]),
@@ -323,6 +323,6 @@ def _largest_mass(arm: Arm, holding: Array, wrenches: Array, torques: Array) -> 
         b_eq=np.zeros(6),
         bounds=(0.0, None),
     )
-    if found.status == UNBOUNDED_PROGRAM:
+    if solution.status == UNBOUNDED_PROGRAM:
         return float("inf")
-    return max(0.0, float(found.x[-1])) if found.success else 0.0
+    return max(0.0, float(solution.x[-1])) if solution.success else 0.0

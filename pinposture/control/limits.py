@@ -274,7 +274,7 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
     Returns:
         Steps, (k, nv) [rad or m]; k = 0 if the arm can stop at once.
     """
-    found = [np.empty((0, len(dq)))]
+    pieces = [np.empty((0, len(dq)))]
     while brake is not None and (ratio := float((np.abs(dq) / brake).max())) > 1.0:
         shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MAX_STOPPING_STEPS)) / ratio
         steps = shares[:, None] * dq
@@ -284,16 +284,16 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
         high = np.minimum(np.maximum(ahead, 0.0), bound)
         beyond = np.any((steps < low) | (steps > high), axis=1)
         first = int(np.argmax(beyond)) if beyond.any() else len(steps)
-        found.append(steps[:first])
+        pieces.append(steps[:first])
         if first == len(steps):
             break
         # A joint has to brake harder than the others here; from there they slow down in proportion again.
         before = steps[first - 1] if first else dq
         held = np.minimum(np.maximum(steps[first], low[first]), high[first])
         dq = np.minimum(np.maximum(held, before - brake), before + brake)
-        found.append(dq[None])
+        pieces.append(dq[None])
         rooms = rooms - gone[first] - dq
-    return np.concatenate(found)
+    return np.concatenate(pieces)
 
 
 def full_braking(previous: Array, brake: Array) -> Array:
@@ -430,11 +430,11 @@ def _limit_in_file(value: object, name: str, arm: Arm) -> float | Array:
         return _for_all(value, arm, both, turning, sliding)
     limit = np.full(arm.nv, np.inf)
     parts = {"turning": (turning, ~arm.slides), "sliding": (sliding, arm.slides)}
-    for key, each in value.items():
+    for key, entry in value.items():
         if key not in parts:
             raise unknown_key(key, parts)
         kind, joints = parts[key]
-        limit[joints] = read_within(key, read_bounded, each, (kind,), 0.0)
+        limit[joints] = read_within(key, read_bounded, entry, (kind,), 0.0)
     # Others keep the speed of the description.
     return np.where(np.isinf(limit), arm.limits.velocity, limit) if name == "velocity" else limit
 
@@ -461,13 +461,13 @@ def _write_limit(name: str, value: float | Array, arm: Arm) -> Any:
     both = {}
     rest = arm.limits.velocity if name == "velocity" else np.full(arm.nv, np.inf)
     for kind, joints in (("turning", ~arm.slides), ("sliding", arm.slides)):
-        own = np.unique(value[joints])
-        if len(own) == 1 and np.isfinite(own[0]):
-            both[kind] = float(own[0])
-            rest = np.where(joints, own[0], rest)
+        levels = np.unique(value[joints])
+        if len(levels) == 1 and np.isfinite(levels[0]):
+            both[kind] = float(levels[0])
+            rest = np.where(joints, levels[0], rest)
     if both and np.array_equal(rest, value):
         return both
-    return [each if np.isfinite(each) else UNLIMITED_WORD for each in value.tolist()]
+    return [entry if np.isfinite(entry) else UNLIMITED_WORD for entry in value.tolist()]
 
 
 def _read_effort(value: Any, info: ValidationInfo) -> bool | float | Array:
@@ -541,15 +541,15 @@ class Limits(Declared):
     @classmethod
     def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
         """Return the values of fields; a file without `step` does not limit it."""
-        given = values.get("cycle", DEFAULT_CYCLE)
-        cycle = read_within("cycle", read_bounded, given, ("time",), 0.0, None, LONGEST_CYCLE)
+        cycle_time = values.get("cycle", DEFAULT_CYCLE)
+        cycle = read_within("cycle", read_bounded, cycle_time, ("time",), 0.0, None, LONGEST_CYCLE)
         rest = {key: value for key, value in values.items() if key != "cycle"}
         return {"step": None, **rest, "dt": cycle} if "step" not in rest else {**rest, "dt": cycle}
 
     def to_table(self, file: OutputFile) -> dict[str, Any]:
         """Return the table: only limits that there are."""
-        given = {key: getattr(self, key) for key in _QUANTITIES if getattr(self, key) is not None}
-        limits = {key: _write_limit(key, value, file.arm) for key, value in given.items()}
+        quantities = {key: getattr(self, key) for key in _QUANTITIES if getattr(self, key) is not None}
+        limits = {key: _write_limit(key, value, file.arm) for key, value in quantities.items()}
         margin = {"position_margin": self.position_margin} if self.position_margin else {}
         return {"cycle": self.dt, **limits, **margin}
 

@@ -34,7 +34,7 @@ ENTRY_POINTS = "pinposture.controllers"
 
 def controller_names() -> tuple[str, ...]:
     """Return the names of the controllers of the library and of installed packages."""
-    return (*CONTROLLERS, *(each.name for each in entry_points(group=ENTRY_POINTS)))
+    return (*CONTROLLERS, *(entry.name for entry in entry_points(group=ENTRY_POINTS)))
 
 
 def controller_named(controller: str | Controller) -> Controller:
@@ -70,7 +70,7 @@ def _checked(made: object, told: object) -> Controller:
 
 def _found(name: str) -> Callable[[], object]:
     """Return the class or function that creates a controller from outside the library."""
-    offered = {each.name: each for each in entry_points(group=ENTRY_POINTS)}
+    offered = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
     if name in offered:
         return cast(Callable[[], object], offered[name].load())
     home, _, attribute = name.partition(":")
@@ -84,6 +84,6 @@ def _found(name: str) -> Callable[[], object]:
     except ImportError as error:
         raise InvalidValue("controller", name, f"a module that can be imported ({error})") from error
     if not callable(getattr(module, attribute, None)):
-        own = [key for key, each in vars(module).items() if getattr(each, "__module__", None) == home]
-        raise UnknownName(f"controller of {home}", attribute, [key for key in own if key[0] != "_"])
+        classes = [key for key, entry in vars(module).items() if getattr(entry, "__module__", None) == home]
+        raise UnknownName(f"controller of {home}", attribute, [key for key in classes if key[0] != "_"])
     return cast(Callable[[], object], getattr(module, attribute))

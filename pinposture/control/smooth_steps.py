@@ -52,7 +52,7 @@ class SmoothSteps:
         self._filter = JerkFilter(arm, limits)
         self.active = limits.for_arm(arm).jerk is not None
         self._steps = np.zeros((3, arm.nv))
-        self._place = 1.0  # on the current piece of the spline, in nominal cycles
+        self._s = 1.0  # on the current piece of the spline, in nominal cycles
 
     def like(self, other: SmoothSteps) -> bool:
         """Whether the motion under other limits is smoothed in the same way."""
@@ -75,7 +75,7 @@ class SmoothSteps:
 
     def needs_step(self, share: float) -> bool:
         """Whether a cycle, of a share of the nominal one, needs a step of the controller."""
-        return not self.active or self._place + share > 1.0 + SMOOTHING.place
+        return not self.active or self._s + share > 1.0 + SMOOTHING.place
 
     def advance(self, share: float, dq: Array | None) -> Array:
         """Return the step of the arm in a cycle, (nv,) [rad or m].
@@ -90,10 +90,10 @@ class SmoothSteps:
             return dq
         before = self._owed() @ self._steps
         new = np.zeros(self._steps.shape[1])
-        self._place += share
+        self._s += share
         if dq is not None:
             new = self._filter.apply(dq)
-            self._place -= 1.0
+            self._s -= 1.0
             self._steps[:-1] = self._steps[1:]
             self._steps[-1] = new
         return np.asarray(before + new - self._owed() @ self._steps)
@@ -102,11 +102,11 @@ class SmoothSteps:
         """Restart from rest, or from the speed of a step dq of a nominal cycle, (nv,)."""
         self._filter.restart(dq)
         self._steps[:] = 0.0 if dq is None else dq
-        self._place = 1.0
+        self._s = 1.0
 
     def _owed(self) -> Array:
         """Return the shares of the last three filtered steps that the arm has not taken yet, (3,)."""
-        u = self._place
+        u = self._s
         # Basis functions of the control points before these steps: the first, and the first two and three.
         first = (1.0 - u) ** 3 / 6.0
         second = first + ((3.0 * u - 6.0) * u * u + 4.0) / 6.0

@@ -74,11 +74,11 @@ def link_axes(arm: Arm) -> LinkAxes:
     point: the x axis for template arms, and where no such position exists. It is the direction in every
     configuration unless the last joint is at the control point itself.
     """
-    found: LinkAxes | None = arm.cache.get(LinkAxes)
-    if found is None:
+    axes_of_links: LinkAxes | None = arm.cache.get(LinkAxes)
+    if axes_of_links is None:
         turns, axes = _turning(arm)
-        found = arm.cache[LinkAxes] = LinkAxes(_links(arm), turns, axes)
-    return found
+        axes_of_links = arm.cache[LinkAxes] = LinkAxes(_links(arm), turns, axes)
+    return axes_of_links
 
 
 def _links(arm: Arm) -> Array:
@@ -124,7 +124,7 @@ def link_directions(state: ArmState, points: Indices) -> Array:
     return np.asarray(np.einsum("kij,kj->ki", state.rotations[points], link_axes(state.arm).links[points]))
 
 
-def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array, Array]:
+def orientation_rows(state: ArmState, point: int, target: Array) -> tuple[Array, Array]:
     """Return the rows that turn a control point to an orientation.
 
     With M = R_wanted R^T and e = log M, a rotation w of the control point changes M to M exp(-w), and e to
@@ -134,7 +134,7 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
     Args:
         state: the state of the arm.
         point: index of the control point, 0-based.
-        wanted: the orientation, from the frame of the control point to the world, (3, 3).
+        target: the orientation, from the frame of the control point to the world, (3, 3).
 
     Returns:
         Rows (r, nv) [rad/rad] and error (r,) [rad]: r = 3, 1 if the point turns about one axis, or 0 if it
@@ -145,7 +145,7 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
     jacobian = state.angular_jacobians[point]
     if known.turns[point] == 0:
         return jacobian[:0], np.zeros(0)
-    x, y, z, w = pin.Quaternion(wanted @ state.rotations[point].T).coeffs()
+    x, y, z, w = pin.Quaternion(target @ state.rotations[point].T).coeffs()
     if known.turns[point] == 1:
         axis = known.axes[point]
         half = np.array([axis @ (x, y, z), w]) * np.copysign(1.0, w)  # both signs are the same rotation
@@ -155,7 +155,7 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
     return _logarithm_derivative(error) @ jacobian, error
 
 
-def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Array, Array]:
+def direction_rows(state: ArmState, points: Indices, target: Array) -> tuple[Array, Array]:
     """Return the rows that turn the links that end at control points to given directions.
 
     A rotation w moves the direction t of a link by w x t. The error is the arc from t to the wanted direction
@@ -165,7 +165,7 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
     Args:
         state: the state of the arm.
         points: indices of the control points, 0-based, (k,).
-        wanted: unit vectors, (k, 3), world frame.
+        target: unit vectors, (k, 3), world frame.
 
     Returns:
         Rows (r, nv) [rad/rad] and errors (r,) [rad]: two for each point, one if it turns about one axis, none
@@ -177,9 +177,9 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
     axes = known.axes[points]
     link = link_directions(state, points)
     basis = _across(link)
-    ahead, beside = _dot(basis, wanted)
+    ahead, beside = _dot(basis, target)
     sine = np.hypot(ahead, beside)
-    cosine = _dot(link, wanted)
+    cosine = _dot(link, target)
     opposite = (sine < HALF_TURN_TOLERANCE) & (cosine < 0.0)
     way = np.stack([np.where(opposite, 1.0, ahead), beside])
     way *= np.arctan2(sine, cosine) / np.maximum(np.hypot(way[0], way[1]), 1e-300)
@@ -190,7 +190,7 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
     if np.any(single):
         along, aside = _dot(basis, axes)
         sines = aside * ahead - along * beside  # of the projections: axis . (t x d)
-        cosines = cosine - _dot(link, axes) * _dot(wanted, axes)
+        cosines = cosine - _dot(link, axes) * _dot(target, axes)
         share = np.sqrt(np.hypot(sines, cosines))
         apart = share * _wrap(np.arctan2(sines, cosines))
         about[single, 0] = (share[:, None] * axes)[single]
@@ -300,7 +300,7 @@ class ComparableTask:
         return hash(self._key())
 
     def _key(self) -> tuple[object, ...]:
-        values = (getattr(self, each.name) for each in fields(self))
+        values = (getattr(self, item.name) for item in fields(self))
         return tuple((v.shape, *v.ravel().tolist()) if isinstance(v, np.ndarray) else v for v in values)
 
     def _set(self, name: str, value: object) -> None:
@@ -328,11 +328,11 @@ def rows_of(task: ControlTask, state: ArmState, target: Target) -> TaskRows:
     if type(task).__module__.startswith(OWN):
         return task.rows(state, target)
     name = type(task).__name__
-    given = call_own(name, "rows(state, target)", task.rows, state, target)
-    if not (isinstance(given, tuple) and len(given) == 2):
-        raise InvalidValue(f"{name}.rows(...)", given, "TaskRows(jacobian, error), (r, nv) and (r,)")
-    jacobian = finite_array(f"{name}.rows(...), jacobian", given[0], (None, state.arm.nv))
-    return TaskRows(jacobian, finite_array(f"{name}.rows(...), error", given[1], (len(jacobian),)))
+    rows = call_own(name, "rows(state, target)", task.rows, state, target)
+    if not (isinstance(rows, tuple) and len(rows) == 2):
+        raise InvalidValue(f"{name}.rows(...)", rows, "TaskRows(jacobian, error), (r, nv) and (r,)")
+    jacobian = finite_array(f"{name}.rows(...), jacobian", rows[0], (None, state.arm.nv))
+    return TaskRows(jacobian, finite_array(f"{name}.rows(...), error", rows[1], (len(jacobian),)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,8 +457,8 @@ class EndEffector(ComparableTask, Declared):
     @model_validator(mode="after")
     def _one_place(self) -> EndEffector:
         if (self.position is None) == (self.pose is None):
-            given = {"position": self.position, "pose": self.pose}
-            raise InvalidValue("position and pose", given, "one of them, and None for the other")
+            poses = {"position": self.position, "pose": self.pose}
+            raise InvalidValue("position and pose", poses, "one of them, and None for the other")
         if self.direction_only and self.pose is None:
             raise InvalidValue("direction_only", True, "False, or a pose in place of the position")
         return self
@@ -466,7 +466,7 @@ class EndEffector(ComparableTask, Declared):
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the keys of the table: position and rotation in place of position or pose."""
-        return (*_OF_A_POSE, *(each.name for each in fields(cls) if each.name not in ("position", "pose")))
+        return (*_OF_A_POSE, *(item.name for item in fields(cls) if item.name not in ("position", "pose")))
 
     @classmethod
     def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
@@ -474,11 +474,11 @@ class EndEffector(ComparableTask, Declared):
         rest = {key: value for key, value in values.items() if key not in _OF_A_POSE}
         if "position" not in values:
             raise Refusal("the key 'position' is missing")
-        place = _in_si(values)
+        pose = _in_si(values)
         if "rotation" not in values:
-            return {"position": place["position"], **rest}
-        turned = pin.rpy.rpyToMatrix(*place["rotation"])
-        return {"pose": pin.SE3(turned, np.array(place["position"])), **rest}
+            return {"position": pose["position"], **rest}
+        turned = pin.rpy.rpyToMatrix(*pose["rotation"])
+        return {"pose": pin.SE3(turned, np.array(pose["position"])), **rest}
 
     def remember(self, values: Mapping[str, Any], source: InputFile) -> None:
         """Keep the angles of a rotation as they were given."""
@@ -495,8 +495,8 @@ class EndEffector(ComparableTask, Declared):
         if self.pose is None:
             return {"position": np.asarray(self.position).tolist(), **table}
         pose = pin.SE3(self.pose)
-        place = {"position": pose.translation.tolist(), "rotation": roll_pitch_yaw(pose.rotation)}
-        return {**place, **table}
+        written = {"position": pose.translation.tolist(), "rotation": roll_pitch_yaw(pose.rotation)}
+        return {**written, **table}
 
     @classmethod
     def held(cls, state: ArmState, hold: str = "pose", point: int | str = -1, **options: Any) -> EndEffector:
@@ -523,17 +523,17 @@ class EndEffector(ComparableTask, Declared):
         """Return the rows of the position, then those of the orientation; see `ControlTask.rows`."""
         arm = arm_of(state)
         k = _index(state.arm, self.point)
-        place = self.position if self.pose is None else self.pose[:3, 3]
+        position = self.position if self.pose is None else self.pose[:3, 3]
         jacobian = arm.plane @ state.jacobians[k]
-        apart = arm.plane @ (place - state.points[k])
+        apart = arm.plane @ (position - state.points[k])
         if self.pose is None:
             return TaskRows(jacobian, apart)
-        wanted = self.pose[:3, :3]
+        rotation = self.pose[:3, :3]
         if self.direction_only:
-            link = wanted @ link_axes(arm).links[k]
+            link = rotation @ link_axes(arm).links[k]
             turns, angles = direction_rows(state, np.array([k]), link[None])
         else:
-            turns, angles = orientation_rows(state, k, wanted)
+            turns, angles = orientation_rows(state, k, rotation)
         arc = lever(arm, self.length)
         return TaskRows(np.vstack([jacobian, arc * turns]), np.concatenate([apart, arc * angles]))
 
@@ -626,8 +626,10 @@ class Tangents(ComparableTask):
     length: float | None = None
 
     def __post_init__(self) -> None:
-        given: Any = self.directions
-        vectors = finite_array("directions", given, (3,) if _is_vector(given) else (None, 3)).reshape(-1, 3)
+        directions: Any = self.directions
+        vectors = finite_array(
+            "directions", directions, (3,) if _is_vector(directions) else (None, 3)
+        ).reshape(-1, 3)
         largest = np.abs(vectors).max(axis=1, keepdims=True)
         for k in np.flatnonzero(largest == 0.0)[:1]:
             raise InvalidValue(f"directions[{k}]", vectors[k].tolist(), "a vector other than 0")
@@ -678,8 +680,8 @@ class Tangents(ComparableTask):
         """Return two rows for each point, one in a plane; see `ControlTask.rows`."""
         arm = arm_of(state)
         directions = np.asarray(self.directions)
-        wanted = range(arm.n_modules) if self.points is None else self.points
-        points = chosen_points(arm.control_points, wanted)
+        chosen = range(arm.n_modules) if self.points is None else self.points
+        points = chosen_points(arm.control_points, chosen)
         if len(points) != len(directions):
             allowed = f"one direction for each of {len(points)} control points; points= selects some"
             raise InvalidValue("directions (shape)", directions.shape, allowed)

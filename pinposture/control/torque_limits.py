@@ -239,10 +239,10 @@ class StepTorques:
             steps = stop(start, moving)
             if steps is None or (np.isfinite(best.share) and self._leaves_limits(start, moving, steps)):
                 continue
-            found = self.judged(np.concatenate([first, steps]), len(first))
-            if found.share <= 1.0:
-                return found
-            best = min(best, found, key=lambda stop: stop.share)
+            judged = self.judged(np.concatenate([first, steps]), len(first))
+            if judged.share <= 1.0:
+                return judged
+            best = min(best, judged, key=lambda stop: stop.share)
         return best
 
     def _shortest_stop(self, start: Array, moving: Array) -> Array | None:
@@ -327,8 +327,8 @@ class StepTorques:
         nv = self._arm.nv
         at = np.repeat(self._positions[None], nv + 1, axis=0)
         accelerations = np.vstack([np.zeros(nv), np.eye(nv)])
-        found = self._arm.dynamics.inverse_dynamics(at, np.zeros((nv + 1, nv)), accelerations)
-        masses = found[1:] - found[0]
+        torques = self._arm.dynamics.inverse_dynamics(at, np.zeros((nv + 1, nv)), accelerations)
+        masses = torques[1:] - torques[0]
         return np.asarray(0.5 * (masses + masses.T))
 
     @cached_property
