@@ -52,9 +52,9 @@ def _parsed(path: Path, text: str) -> dict[str, Any]:
         ) from None
     except ValueError as error:
         message = " ".join(str(error).split())
-        found = _TOML_ERROR.fullmatch(message)
+        match = _TOML_ERROR.fullmatch(message)
         # The line comes first, as in all other messages.
-        raise FileError(path, f"{found[2] or 'end of the file'}: {found[1]}" if found else message) from error
+        raise FileError(path, f"{match[2] or 'end of the file'}: {match[1]}" if match else message) from error
     if not isinstance(values, dict):
         raise FileError(path, "contains no table; allowed: keys and values, as in version = 1")
     _check_size(path, (), values)
@@ -81,8 +81,8 @@ def _check_size(path: Path, key_path: KeyPath, value: Any) -> None:
         raise FileError(path, f"{key_path_in_words(key_path)}: {reason}")
     if isinstance(value, Mapping | list):
         items = value.items() if isinstance(value, Mapping) else enumerate(value)
-        for key, each in items:
-            _check_size(path, (*key_path, key), each)
+        for key, item in items:
+            _check_size(path, (*key_path, key), item)
 
 
 class Document(InFolder):
@@ -136,19 +136,19 @@ class Document(InFolder):
             FileError: there is no such key path.
         """
         require_instance("key to change", key, str, 'text such as "limits.velocity"')
-        key_path: KeyPath = tuple(int(each) - 1 if each.isdecimal() else each for each in key.split("."))
+        key_path: KeyPath = tuple(int(part) - 1 if part.isdecimal() else part for part in key.split("."))
         inside: Any = self.values
-        for depth, each in enumerate(key_path):
-            listed = isinstance(inside, list) and isinstance(each, int) and 0 <= each < len(inside)
-            if not listed and not (isinstance(inside, dict) and isinstance(each, str) and each):
+        for depth, step in enumerate(key_path):
+            listed = isinstance(inside, list) and isinstance(step, int) and 0 <= step < len(inside)
+            if not listed and not (isinstance(inside, dict) and isinstance(step, str) and step):
                 where = key_path_in_words(key_path[:depth])
                 raise FileError(self.path, f"there is no {key!r} to change: nothing of that name in {where}")
             if depth == len(key_path) - 1:
-                inside[each] = value
+                inside[step] = value
             elif not listed:
-                inside = inside.setdefault(each, {})
+                inside = inside.setdefault(step, {})
             else:
-                inside = inside[each]
+                inside = inside[step]
         self.changed.add(key_path)
 
     def at(self, key_path: KeyPath) -> Any:
@@ -173,7 +173,7 @@ class Document(InFolder):
         except ValidationError as error:
             mistakes = mistakes_of(error)
             failure = self.together(
-                [self.fault((*key_path, *inside), str(each)) for inside, each in mistakes]
+                [self.fault((*key_path, *inside), str(mistake)) for inside, mistake in mistakes]
             )
             raise failure from mistakes[0][1].__cause__
 
@@ -183,21 +183,21 @@ class Document(InFolder):
         Raises:
             FileError: all mistakes in all of them.
         """
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         errors: list[PostureError] = []
         for key, kind in kinds.items():
             try:
-                found[key] = self.read(kind, (key,))
+                values[key] = self.read(kind, (key,))
             except FileError as error:
                 errors.append(error)
         if errors:
             raise self.together(errors)
-        return found
+        return values
 
     def together(self, errors: Sequence[PostureError]) -> FileError:
         """Return one error with all reasons of several."""
-        listed = [each for error in errors for each in (error.reasons or (error,))]
-        error = FileError(self.path, numbered([getattr(each, "reason", str(each)) for each in listed]))
+        listed = [reason for error in errors for reason in (error.reasons or (error,))]
+        error = FileError(self.path, numbered([getattr(reason, "reason", str(reason)) for reason in listed]))
         error.reasons = tuple(listed) if len(listed) > 1 else ()
         return error
 
@@ -238,9 +238,9 @@ def plain_data(value: Any, folder: Path) -> Any:
     if isinstance(value, Path):
         return relative(value, folder)
     if isinstance(value, Mapping):
-        return {key: plain_data(each, folder) for key, each in value.items()}
+        return {key: plain_data(entry, folder) for key, entry in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [plain_data(each, folder) for each in value]
+        return [plain_data(entry, folder) for entry in value]
     number = float(value)
     whole = number.is_integer() and abs(number) < 1e15 and (number != 0.0 or math.copysign(1.0, number) > 0.0)
     return int(number) if whole else number

@@ -158,8 +158,8 @@ def read_within(key: str | int, read: Callable[..., Read], *arguments: Any) -> R
     try:
         return read(*arguments)
     except ValueError as error:
-        mistakes = [_refusal(each, None) for each in getattr(error, "all", (error,))]
-        raise _joined([((key, *each.within), each) for each in mistakes]) from None
+        mistakes = [_refusal(reason, None) for reason in getattr(error, "all", (error,))]
+        raise _joined([((key, *mistake.within), mistake) for mistake in mistakes]) from None
 
 
 def mistakes_of(error: ValidationError) -> list[tuple[KeyPath, Refusal]]:
@@ -208,8 +208,8 @@ def _joined(mistakes: Sequence[tuple[KeyPath, Refusal]]) -> Refusal | Refusals:
     """Return mistakes in a value, each with the keys to its part, as one exception."""
     for key_path, each in mistakes:
         each.within = key_path
-    found = [each for _, each in mistakes]
-    return found[0] if len(found) == 1 else Refusals(found)
+    reasons = [each for _, each in mistakes]
+    return reasons[0] if len(reasons) == 1 else Refusals(reasons)
 
 
 # Quantities: numbers in SI units, or text with a unit.
@@ -264,13 +264,13 @@ def read_quantity(value: object, *kinds: str) -> float:
     allowed = f"a number in SI units, or text with one of the units {known}"
     if is_number(value):
         raise NotAllowed(value, allowed, hint=_beyond(value))
-    found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
-    if found is None:
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
         raise NotAllowed(value, allowed)
-    unit = (found[2] or "").replace("**", "^").replace("²", "^2").replace(" ", "").replace("/s/s", "/s^2")
+    unit = (match[2] or "").replace("**", "^").replace("²", "^2").replace(" ", "").replace("/s/s", "/s^2")
     for kind in kinds:
         if unit in UNITS[kind]:
-            number = float(found[1]) * UNITS[kind][unit]
+            number = float(match[1]) * UNITS[kind][unit]
             if not is_usable(number):
                 raise NotAllowed(value, allowed, hint=_beyond(number))
             return number
@@ -442,14 +442,14 @@ UNLIMITED_WORD = "none"
 
 def read_quantities(value: object, kinds: Sequence[str], unlimited: bool = False) -> tuple[float, ...]:
     """Read a list of quantities, one of each kind; `unlimited`: `UNLIMITED_WORD` stands for infinity."""
-    given = value.tolist() if isinstance(value, np.ndarray) else value
-    if not isinstance(given, list | tuple) or len(given) != len(kinds):
+    values = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(values, list | tuple) or len(values) != len(kinds):
         raise NotAllowed(value, f"a list of {len(kinds)}")
     return tuple(
         math.inf
-        if unlimited and each in (UNLIMITED_WORD, math.inf)
-        else read_within(index, read_quantity, each, kind)
-        for index, (each, kind) in enumerate(zip(given, kinds, strict=True))
+        if unlimited and entry in (UNLIMITED_WORD, math.inf)
+        else read_within(index, read_quantity, entry, kind)
+        for index, (entry, kind) in enumerate(zip(values, kinds, strict=True))
     )
 
 
@@ -457,14 +457,14 @@ def read_units(value: object, kind: str) -> object:
     """Return a value with text, alone or listed, as quantities; any other value as it is."""
     if isinstance(value, str):
         return read_quantity(value, kind)
-    if isinstance(value, list | tuple) and any(isinstance(each, str) for each in value):
+    if isinstance(value, list | tuple) and any(isinstance(entry, str) for entry in value):
         return list(read_quantities(value, [kind] * len(value)))
     return value
 
 
 def in_si(table: Mapping[str, Any], reader: Any) -> dict[str, Any]:
     """Read the text in a table as the quantities that a class or function declares; keep other values."""
-    kinds = {key: each.kind for key, each in _annotations(reader, CheckedBy).items() if each.kind}
+    kinds = {key: check.kind for key, check in _annotations(reader, CheckedBy).items() if check.kind}
     return {
         key: read_within(key, read_units, value, kinds[key]) if key in kinds else value
         for key, value in table.items()
@@ -547,17 +547,17 @@ def declared(*, eq: bool = True) -> Callable[[type[Class]], type[Class]]:
         config = ConfigDict(arbitrary_types_allowed=True, extra="forbid")
         made: Any = pydantic.dataclasses.dataclass(frozen=True, eq=eq, config=config)(cls)
         read = made.__init__
-        names = [each.name for each in dataclasses.fields(made) if each.init]
+        names = [field.name for field in dataclasses.fields(made) if field.init]
 
         @functools.wraps(read)
         def __init__(self: object, *arguments: Any, **named: Any) -> None:
             # By name: pydantic has another order than Python where a base that is no dataclass names fields.
-            given = dict(zip(names, arguments, strict=False))
+            options = dict(zip(names, arguments, strict=False))
             try:
-                read(self, *arguments[len(names) :], **given, **named)
+                read(self, *arguments[len(names) :], **options, **named)
             except ValidationError as error:
                 failure = _error_of_call(made, names, error)
-                subject = made.subject({**given, **named})
+                subject = made.subject({**options, **named})
                 if subject:
                     failure.args = (f"{subject}: {failure}",)
                 raise failure from None
@@ -569,24 +569,24 @@ def declared(*, eq: bool = True) -> Callable[[type[Class]], type[Class]]:
 
 
 def _error_of_call(kind: type, names: Sequence[str], error: ValidationError) -> Exception:
-    found = error.errors(include_url=False)[0]
-    if found["type"] == "multiple_argument_values":
+    mistake = error.errors(include_url=False)[0]
+    if mistake["type"] == "multiple_argument_values":
         return TypeError(f"{kind.__name__} has {len(names)} arguments: {', '.join(names)}")
-    if found["type"] in ("missing", "unexpected_keyword_argument"):
-        what = found["type"].partition("_")[0]
-        return TypeError(f"{kind.__name__}: {what} argument {found['loc'][-1]!r}")
-    cause = found.get("ctx", {}).get("error")
+    if mistake["type"] in ("missing", "unexpected_keyword_argument"):
+        what = mistake["type"].partition("_")[0]
+        return TypeError(f"{kind.__name__}: {what} argument {mistake['loc'][-1]!r}")
+    cause = mistake.get("ctx", {}).get("error")
     if isinstance(cause, PostureError):
         return cause
-    key_path, refusal = _mistakes(found)[0]
+    key_path, refusal = _mistakes(mistake)[0]
     if refusal.error is not None:
         return refusal.error
     first, *rest = key_path or (kind.__name__,)
     name = names[first] if isinstance(first, int) else first
-    name += "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in rest)
+    name += "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in rest)
     if isinstance(refusal, NotAllowed):
         return InvalidValue(name, refusal.value, refusal.allowed)
-    return InvalidValue(name, found["input"], str(refusal))
+    return InvalidValue(name, mistake["input"], str(refusal))
 
 
 @declared()
@@ -671,11 +671,11 @@ def write_parts(value: object, file: OutputFile) -> object:
     if isinstance(value, Declared):
         return value.to_table(file)
     if isinstance(value, Mapping):
-        return {key: write_parts(each, file) for key, each in value.items()}
+        return {key: write_parts(entry, file) for key, entry in value.items()}
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, tuple) and any(isinstance(each, Declared) for each in value):
-        return [write_parts(each, file) for each in value]
+        return [write_parts(entry, file) for entry in value]
     return value
 
 
@@ -785,8 +785,8 @@ def read_field(kind: type, name: str, value: object) -> Any:
 def describe_field(kind: type, name: str) -> str:
     """Return what the docstring of a declared class says of a field, and its default."""
     listed = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2].split("\n\n")[0]
-    found = re.search(rf"^    {name}: (.*?)(?=^    \w+: |\Z)", listed, re.DOTALL | re.MULTILINE)
-    words = "" if found is None else " ".join(found[1].split())
+    match = re.search(rf"^    {name}: (.*?)(?=^    \w+: |\Z)", listed, re.DOTALL | re.MULTILINE)
+    words = "" if match is None else " ".join(match[1].split())
     default = _fields(kind)[name]
     if default is None:
         words = words.replace("None: ", "Default: ")
@@ -846,11 +846,11 @@ def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Re
 
     @functools.wraps(function)
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Returned:
-        given = signature.bind(*arguments, **named)
+        call = signature.bind(*arguments, **named)
         for name, hint in _hints(function).items():
-            if name in given.arguments and hasattr(hint, "__metadata__"):  # others have their default
-                given.arguments[name] = read_plain(hint, given.arguments[name], name)
-        return function(*given.args, **given.kwargs)
+            if name in call.arguments and hasattr(hint, "__metadata__"):  # others have their default
+                call.arguments[name] = read_plain(hint, call.arguments[name], name)
+        return function(*call.args, **call.kwargs)
 
     return call
 
@@ -870,13 +870,13 @@ def call_described(
     """
     function = functions[read_type(table, functions, what)]
     arguments = inspect.signature(function).parameters
-    given = {key: value for key, value in table.items() if key != "type"}
-    read_keys(given, arguments)
+    options = {key: value for key, value in table.items() if key != "type"}
+    read_keys(options, arguments)
     for key, argument in arguments.items():
-        if argument.default is argument.empty and key not in given:
+        if argument.default is argument.empty and key not in options:
             raise Refusal(f"the key {key!r} is missing")
-    with refusing(given):
-        return function(**in_si(given, function))
+    with refusing(options):
+        return function(**in_si(options, function))
 
 
 def read_type(table: Mapping[str, Any], known: Collection[str], what: str) -> str:

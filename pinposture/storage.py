@@ -126,7 +126,7 @@ def decode_xml(content: bytes, source: str | Path) -> str:
     """
     head = content[:_DECLARATION_LENGTH]
     declared = _DECLARATION.match(head.decode("latin-1"))
-    marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
+    marked = next((name for label, name in _MARKS if head.startswith(label)), None)
     encoding = marked or (declared[3] if declared else "utf-8")
     if marked is None and encoding.lower().startswith(("utf-16", "utf16", "utf-32", "ucs", "iso-10646-ucs")):
         encoding = "utf-8"  # a declaration of single bytes contradicts itself

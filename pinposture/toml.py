@@ -156,8 +156,8 @@ class Usual(NamedTuple):
 def drop_defaults(value: Any) -> Any:
     """Return plain data without the entries of tables that are `Usual`."""
     if isinstance(value, Mapping):
-        return {key: drop_defaults(each) for key, each in value.items() if not isinstance(each, Usual)}
-    return [drop_defaults(each) for each in value] if isinstance(value, list) else value
+        return {key: drop_defaults(entry) for key, entry in value.items() if not isinstance(entry, Usual)}
+    return [drop_defaults(entry) for entry in value] if isinstance(value, list) else value
 
 
 class TomlLayout(NamedTuple):
@@ -187,15 +187,15 @@ def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> st
     Raises:
         ValueError: any other value.
     """
-    given = "" if layout is None else layout.text
+    former = "" if layout is None else layout.text
     old = {} if layout is None else layout.describe()
-    text = given.replace("\r\n", "\n")
+    text = former.replace("\r\n", "\n")
     editor = _Editor(_sections(text))
     editor.update((), old, values)
     changed = editor.text()
     if not text.endswith("\n\n") and changed.strip():
         changed = changed.rstrip("\n") + "\n" * (changed != text or text.endswith("\n"))
-    return changed if text == given else changed.replace("\n", "\r\n")
+    return changed if text == former else changed.replace("\n", "\r\n")
 
 
 class _Section(NamedTuple):
@@ -269,16 +269,16 @@ class _Editor:
 
     def _within(self, key_path: KeyPath) -> list[_Section]:
         """Return the sections at and below a key path, in the order of the file."""
-        return [each for other, each in self._sections.items() if other[: len(key_path)] == key_path]
+        return [section for other, section in self._sections.items() if other[: len(key_path)] == key_path]
 
     def _children(self, key_path: KeyPath) -> dict[str, bool]:
         """Return the keys of sections below a key path, and whether each is a list of tables."""
         depth = len(key_path)
-        found = dict[str, bool]()
+        kept = dict[str, bool]()
         for other in self._sections:
             if len(other) > depth and other[:depth] == key_path:
-                found[str(other[depth])] = len(other) > depth + 1 and isinstance(other[depth + 1], int)
-        return found
+                kept[str(other[depth])] = len(other) > depth + 1 and isinstance(other[depth + 1], int)
+        return kept
 
     def update(self, key_path: KeyPath, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
         """Write the sections at and below a key path with new values."""
@@ -320,16 +320,16 @@ class _Editor:
                     self.update(child, old.get(key, {}), value)
                 at = max(at, (self._within(child)[-1].number, 0))
         for key in children.keys() - new.keys() - old.keys():  # the user's own
-            for each in self._within((*key_path, key)):
-                self._pieces[each.number, 0] = (each.header + each.body + each.tail, False)
+            for part in self._within((*key_path, key)):
+                self._pieces[part.number, 0] = (part.header + part.body + part.tail, False)
 
     def _add(self, key_path: KeyPath, value: Any, after: int) -> None:
         """Write a new section, or a list of them."""
         if not isinstance(value, Mapping):
-            for each in value:
-                self._insert(after, _new_section(key_path, each, listed=True))
+            for entry in value:
+                self._insert(after, _new_section(key_path, entry, listed=True))
             return
-        nested = {key: each for key, each in value.items() if _is_section(each)}
+        nested = {key: entry for key, entry in value.items() if _is_section(entry)}
         own = {key: each for key, each in value.items() if key not in nested}
         if own or not nested:
             self._insert(after, _new_section(key_path, own))
@@ -371,7 +371,7 @@ def _is_section(value: object, outermost: bool = False, headless: bool = False) 
 def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:
     """Return the previous index of each table of a list: that of an equal table, or of a similar one."""
     left = list(range(len(old)))
-    found = dict[int, int]()
+    matches = dict[int, int]()
 
     def alike(key: str, present: bool) -> Callable[[Any, Any], bool]:
         return lambda one, other: one.get(key) == other.get(key) and (key in one) == present
@@ -384,18 +384,18 @@ def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:
     ]
     for similar, ordered in tests:
         for at, value in enumerate(new):
-            if at in found:
+            if at in matches:
                 continue
             low = -1
             high = len(old)
             if ordered:  # between the tables that are matched already
-                low = max((found[each] for each in found if each < at), default=low)
-                high = min((found[each] for each in found if each > at), default=high)
+                low = max((matches[index] for index in matches if index < at), default=low)
+                high = min((matches[index] for index in matches if index > at), default=high)
             origin = next((i for i in left if low < i < high and similar(old[i], value)), None)
             if origin is not None:
-                found[at] = origin
+                matches[at] = origin
                 left.remove(origin)
-    return [found.get(at) for at in range(len(new))]
+    return [matches.get(at) for at in range(len(new))]
 
 
 def _unchanged(old: Mapping[str, Any], new: Mapping[str, Any], key: str) -> bool:
@@ -500,11 +500,11 @@ def _entry(key: str, value: Any) -> Item:
 def _item(value: Any, broken: bool = False) -> Item:
     if isinstance(value, Mapping):
         table = tomlkit.inline_table()
-        for key, each in drop_defaults(value).items():
-            table.append(key, _item(each, broken))
+        for key, entry in drop_defaults(value).items():
+            table.append(key, _item(entry, broken))
         return table
     if isinstance(value, list | tuple):
-        return _array([_item(each) for each in value], broken)
+        return _array([_item(entry) for entry in value], broken)
     item: Item = tomlkit.item(value)
     return item
 

@@ -169,7 +169,7 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
         if descriptions.still_holds("arm", name, gives_arm):
             return spec, None
     file = settled(descriptions.file.with_suffix(".urdf"))
-    searched = [Path(each) for each in arm.report.package_dirs if settled(each) != file.parent]
+    searched = [Path(folder) for folder in arm.report.package_dirs if settled(folder) != file.parent]
     spec = replace(spec, urdf=file, package_dirs=tuple(searched), xacro_args={})
     if not file.exists():
         return spec, file
@@ -219,8 +219,8 @@ def read_start(value: object, info: ValidationInfo) -> Array | None:
     if "joints" in table:
         positions = read_within("joints", read_joints, table["joints"], arm)
         with refusing(key="joints"):
-            found: Array = arm.checked_start(arm.configuration(positions), "start")
-            return found
+            start: Array = arm.checked_start(arm.configuration(positions), "start")
+            return start
     if "posture" not in table:
         return None
     posture = read_within("posture", read_word, table["posture"], ("straight", "neutral"))
@@ -264,10 +264,10 @@ def write_controller(controller: Controller, file: Path) -> dict[str, Any]:
         FileError: it has parameters that a file cannot represent.
     """
     if isinstance(controller, Geodesic):
-        own = {key: getattr(controller, key) for key in _WEIGHTS}
-        if replace(Geodesic(), **own) == controller:
-            own = {key: value for key, value in own.items() if value != getattr(Geodesic(), key)}
-            return {"name": "geodesic", **own} if own else {}
+        weights = {key: getattr(controller, key) for key in _WEIGHTS}
+        if replace(Geodesic(), **weights) == controller:
+            weights = {key: value for key, value in weights.items() if value != getattr(Geodesic(), key)}
+            return {"name": "geodesic", **weights} if weights else {}
     for name, make in CONTROLLERS.items():
         if make() == controller:
             return {"name": name}
@@ -283,22 +283,22 @@ RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
 
 def read_formats(value: object, _: ValidationInfo) -> tuple[str, ...]:
     """Read the formats in which to save the result."""
-    given = read_keys(value, ("formats",)).get("formats", RESULT_FORMATS)
-    if not is_list_of(lambda each: each in RESULT_FORMATS)(given):
-        raise NotAllowed(given, f"a list of {', '.join(RESULT_FORMATS)}", "formats")
-    return tuple(each for each in RESULT_FORMATS if each in given)
+    formats = read_keys(value, ("formats",)).get("formats", RESULT_FORMATS)
+    if not is_list_of(lambda each: each in RESULT_FORMATS)(formats):
+        raise NotAllowed(formats, f"a list of {', '.join(RESULT_FORMATS)}", "formats")
+    return tuple(name for name in RESULT_FORMATS if name in formats)
 
 
 def read_scans(value: object, info: ValidationInfo) -> tuple[Path, ...]:
     """Read the files that the editor shows; they need not exist."""
-    given = read_keys(value, ("scans",)).get("scans", [])
-    if not isinstance(given, list):
-        raise NotAllowed(given, "a list of files", "scans")
-    for index, name in enumerate(given):
+    scans = read_keys(value, ("scans",)).get("scans", [])
+    if not isinstance(scans, list):
+        raise NotAllowed(scans, "a list of files", "scans")
+    for index, name in enumerate(scans):
         if not is_file_name(name):
             raise NotAllowed(name, "the name of a file", "scans", index)
     source = cast(InputFile, in_file(info))
-    return tuple(settled(read_within("scans", source.resolve, name)) for name in given)
+    return tuple(settled(read_within("scans", source.resolve, name)) for name in scans)
 
 
 # The text.
@@ -314,13 +314,13 @@ def folder_of(path: Path) -> Iterator[None]:
     new: list[Path] = []
     try:
         check_writable(path.parent)
-        new = [each for each in (path.parent, *path.parents) if not each.exists()]
+        new = [folder for folder in (path.parent, *path.parents) if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException as error:
-        for each in new:
+        for folder in new:
             with suppress(OSError):
-                each.rmdir()
+                folder.rmdir()
         if isinstance(error, PostureError) or not isinstance(error, OSError | RuntimeError | ValueError):
             raise
         reason = getattr(error, "strerror", None) or error

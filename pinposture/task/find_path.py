@@ -123,7 +123,7 @@ def find_path(
     if sharpest <= 0.0:
         raise InvalidValue("arm", arm, "an arm whose modules all bend")
     link = float(np.linalg.norm(np.diff(body.at(body.straight()).links, axis=0), axis=1).max())
-    thickness = max((each.shape.solid().radius for each in bodies_of(arm, scene.arm_radius)), default=0.0)
+    thickness = max((body.shape.solid().radius for body in bodies_of(arm, scene.arm_radius)), default=0.0)
     bulge = sharpest * link**2 / 8.0
     space = _FreeSpace(scene, scene.margin + thickness + bulge)
     needed = (
@@ -133,15 +133,15 @@ def find_path(
     )
     crowded = [
         f"the {name} is {text}"
-        for name, place in (("start", begin), ("goal", end))
-        if (text := space.crowding(place))
+        for name, position in (("start", begin), ("goal", end))
+        if (text := space.crowding(position))
     ]
     if crowded:
         raise ReachError(end, f"{'; '.join(crowded)}; {needed}")
     rng = np.random.default_rng(seed)
-    found: list[Curve] = []
+    curves: list[Curve] = []
     why = "the tree did not reach the goal within the budget"
-    while len(found) < TREES.enough_paths:
+    while len(curves) < TREES.enough_paths:
         bend = sharpest * TREES.bend_shares[rng.integers(len(TREES.bend_shares))]
         tree = _ArcTree(begin, ahead, end, bend, plane, arm.length, space)
         places = tree.grow(rng, until)
@@ -149,13 +149,13 @@ def find_path(
             curve = tree.spline(tree.shorten(places, rng, until))
             fault = _fault(curve, body, space, sharpest, follower.longest)
             if not fault:
-                found.append(curve)
+                curves.append(curve)
             why = fault or why
         if perf_counter() >= until:
             break
-    if not found:
+    if not curves:
         raise ReachError(end, f"no path was found: {why}; {needed}")
-    return min(found, key=lambda curve: curve.length)
+    return min(curves, key=lambda curve: curve.length)
 
 
 class _Follower(NamedTuple):
@@ -246,7 +246,9 @@ class _FreeSpace:
         for number, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
             joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"slide_{number}")
         self._kinematics = TreeKinematics(model)
-        pieces = [(name, piece) for name, each in scene.standing.items() for piece in each.geometry.solids()]
+        pieces = [
+            (name, piece) for name, obstacle in scene.standing.items() for piece in obstacle.geometry.solids()
+        ]
         fixed = [piece for _, piece in pieces]
         self._names = [name for name, _ in pieces]
         ball = Sphere((0.0, 0.0, 0.0), radius).solid()
@@ -390,10 +392,10 @@ class _ArcTree:
             else:
                 middle = 0.5 * (best[k - 1] + best[k + 1])
                 tried[k] = best[k] + rng.uniform(0.1, 0.8) * (middle - best[k])
-            found = self._length(self._arcs(tried))
-            if found < length:
+            tried_length = self._length(self._arcs(tried))
+            if tried_length < length:
                 best = tried
-                length = found
+                length = tried_length
         return best
 
     def spline(self, places: list[Array]) -> Curve:
@@ -412,8 +414,8 @@ class _ArcTree:
     def _arcs(self, places: list[Array]) -> list[_Arc] | None:
         """Return the arcs through points, the first at the end of the line; None if one is not feasible."""
         arcs = [self._line()]
-        for place in places[1:]:
-            arc = _arc_to(arcs[-1].end, arcs[-1].end_tangent, place, self._bend)
+        for point in places[1:]:
+            arc = _arc_to(arcs[-1].end, arcs[-1].end_tangent, point, self._bend)
             if arc is None or not self._is_free(arc):
                 return None
             arcs.append(arc)
@@ -422,28 +424,28 @@ class _ArcTree:
     def _length(self, arcs: list[_Arc] | None) -> float:
         return inf if arcs is None else sum(arc.length for arc in arcs)
 
-    def _towards(self, place: Array, tangent: Array, aim: Array) -> _Arc:
+    def _towards(self, position: Array, tangent: Array, aim: Array) -> _Arc:
         """Return an arc of at most a stride that comes as close to an aim as the curvature allows."""
-        direct = _arc_to(place, tangent, aim, self._bend)
+        direct = _arc_to(position, tangent, aim, self._bend)
         if direct is not None:
             return direct._replace(length=min(direct.length, self._stride))
-        offset = aim - place
+        offset = aim - position
         side = offset - tangent * (tangent @ offset)
         size = float(np.linalg.norm(side))
         if size < 1e-12:  # straight behind: any side will do
             across = self._plane - np.outer(self._plane @ tangent, tangent)
             side = across[int(np.argmax((across**2).sum(axis=1)))]
             size = float(np.linalg.norm(side))
-        return _Arc(place, tangent, side / size, self._bend, self._stride)
+        return _Arc(position, tangent, side / size, self._bend, self._stride)
 
     def _is_free(self, arc: _Arc) -> bool:
         count = max(int(np.ceil(arc.length / (0.5 * self._space.radius))), 2)
         return self._space.is_free(arc.at(arc.length * np.arange(1, count + 1) / count))
 
 
-def _arc_to(place: Array, tangent: Array, aim: Array, bend: float) -> _Arc | None:
+def _arc_to(position: Array, tangent: Array, aim: Array, bend: float) -> _Arc | None:
     """Return the arc from a point in a direction to an aim; None if it bends or turns too much."""
-    offset = aim - place
+    offset = aim - position
     distance = float(np.linalg.norm(offset))
     if distance < 1e-9:
         return None
@@ -455,4 +457,4 @@ def _arc_to(place: Array, tangent: Array, aim: Array, bend: float) -> _Arc | Non
     if angle > TREES.max_arc or curvature > bend * (1.0 + TREES.excess):
         return None
     length = distance / float(np.sinc(angle / np.pi))
-    return _Arc(place, tangent, side / max(aside, 1e-300), curvature, length)
+    return _Arc(position, tangent, side / max(aside, 1e-300), curvature, length)

@@ -165,39 +165,43 @@ class FedArm:
 def _not_fed(arm: Arm) -> list[PostureError]:
     """Return why an arm is not one on a feed; empty if it is."""
     chain = arm.chain
-    found = list[PostureError]()
+    problems = list[PostureError]()
     if arm.couplings:
         name, leader, *_ = arm.couplings[0]
-        found.append(InvalidValue(f"joint {name!r}", f"follows {leader!r}", "an arm without coupled joints"))
+        problems.append(
+            InvalidValue(f"joint {name!r}", f"follows {leader!r}", "an arm without coupled joints")
+        )
     if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
         kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
         first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))
-        return [*found, InvalidValue("first joints of the arm", first, FEED_REQUIREMENT)]
+        return [*problems, InvalidValue("first joints of the arm", first, FEED_REQUIREMENT)]
     column = int(chain.columns[0])
     edges = float(arm.limits.lower[column]), float(arm.limits.upper[column])
     if not np.all(np.isfinite(edges)):
-        found.append(InvalidValue(f"limits of the feed {chain.joints[0]!r}", edges, "finite positions [m]"))
-    return found
+        problems.append(
+            InvalidValue(f"limits of the feed {chain.joints[0]!r}", edges, "finite positions [m]")
+        )
+    return problems
 
 
 def _not_straight(arm: Arm, start: Array, columns: NDArray[np.intp], straight: Array) -> list[PostureError]:
     """Return why joint positions (nv,) are not a start: bent joints, and joints beyond their limits."""
-    found = list[PostureError]()
+    problems = list[PostureError]()
     bent = np.abs(start[columns] - straight) / arm.joint_units[columns]
     if bent.max() > FEED.straight_start:
         worst = int(columns[np.argmax(bent)])
         number = int(np.sum(bent > FEED.straight_start))
         text = f"{number} of {len(bent)} joints bent, most {arm.joint_names[worst]}, by {bent.max():.4g}"
         allowed = f"the straight arm, to within {FEED.straight_start:g} (rad or module lengths)"
-        found.append(InvalidValue("start", text, f"{allowed}, at any position of the feed"))
+        problems.append(InvalidValue("start", text, f"{allowed}, at any position of the feed"))
     over = np.maximum(start - arm.limits.upper, arm.limits.lower - start)
     if not arm.within_limits(arm.configuration(start)):
         worst = int(np.argmax(over))
         text = f"{arm.joint_names[worst]} at {start[worst]:.4g}, {over[worst]:.4g} beyond its limit"
         low = arm.limits.lower[worst]
         high = arm.limits.upper[worst]
-        found.append(InvalidValue("start", text, f"from {low:.4g} to {high:.4g}"))
-    return found
+        problems.append(InvalidValue("start", text, f"from {low:.4g} to {high:.4g}"))
+    return problems
 
 
 def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
@@ -295,27 +299,27 @@ class Route:
 
 def _off_the_entry(fed: FedArm, path: Curve) -> list[PostureError]:
     """Return why a path does not begin at the tip, in the direction of the arm; empty if it does."""
-    found = list[PostureError]()
+    problems = list[PostureError]()
     aligned = "without obstacles, placement='align' moves the path there"
     ahead = np.asarray(fed.tip - path.start)
     most = ROUTE.line * fed.length
     gap = float(np.linalg.norm(ahead))
     if gap > most:
-        shift = ", ".join(f"{each:.6g}" for each in ahead)
-        tip = ", ".join(f"{each:.6g}" for each in fed.tip)
+        shift = ", ".join(f"{x:.6g}" for x in ahead)
+        tip = ", ".join(f"{x:.6g}" for x in fed.tip)
         allowed = (
             f"within {length_text(most)} of the tip, at ({tip}); move it by ({shift}) m, "
             f"or the base of the arm the other way if obstacles are where they are; {aligned}"
         )
-        found.append(InvalidValue("start of the path", f"{length_text(gap)} from the tip", allowed))
+        problems.append(InvalidValue("start of the path", f"{length_text(gap)} from the tip", allowed))
     angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
     if angle > ROUTE.max_entry_angle:
-        direction = ", ".join(f"{each:.6g}" for each in fed.axis)
+        direction = ", ".join(f"{x:.6g}" for x in fed.axis)
         most = np.degrees(ROUTE.max_entry_angle)
         allowed = f"within {most:.2g} degrees of the arm, ({direction}); {aligned}"
         text = f"{np.degrees(angle):.3g} degrees off the axis of the arm"
-        found.append(InvalidValue("first direction of the path", text, allowed))
-    return found
+        problems.append(InvalidValue("first direction of the path", text, allowed))
+    return problems
 
 
 def _prepend_line(curve: Curve, direction: Array, length: float) -> Curve:
@@ -628,9 +632,9 @@ def follow_leader(
         raise_together([*misfits, error])
     raise_together([*misfits, *route.misfits, *([] if wrong_depth else _too_deep(route, depth))])
     fed = route.fed
-    stride = FEED_MOTION.max_step * float(fed.links.chain.module_lengths.min())
+    max_step = FEED_MOTION.max_step * float(fed.links.chain.module_lengths.min())
     deepest = _depth(route, depth)
-    depths, interval = advance(deepest, speed, interval, stride)
+    depths, interval = advance(deepest, speed, interval, max_step)
     placing: ClosestPlacement | SequentialPlacement
     placing = ClosestPlacement(fed, route.whole) if method == "closest" else SequentialPlacement(route)
     offsets = np.zeros((len(depths), arm.nv))
@@ -767,8 +771,8 @@ def _require_near(route: Route, deviation: Deviation, depths: Array, method: str
     advice = "use method='closest'"
     if method == "closest":
         advice = "use a gentler path, wider joint limits or shorter links"
-    place = f"at a depth of {length_text(depth)}"
-    reason = f"the arm is {off} ({place}); allowed: {length_text(allowed)}; {advice}"
+    at_depth = f"at a depth of {length_text(depth)}"
+    reason = f"the arm is {off} ({at_depth}); allowed: {length_text(allowed)}; {advice}"
     raise TargetError(number, depth + where - fed.run_up, reason)
 
 
@@ -806,7 +810,7 @@ class Leader(Declared):
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `follow_leader`."""
-        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "pipe"}
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "pipe"}
 
     @model_validator(mode="after")
     def _check(self, info: ValidationInfo) -> Leader:
@@ -852,7 +856,7 @@ def _require_wider(radius: float, arm: Arm, scene: Scene | None) -> None:
     """Refuse a pipe that is narrower than the thinnest round body of the arm and the margin."""
     margin = PIPE_MARGIN if scene is None else scene.margin
     bodies = bodies_of(arm, None if scene is None else scene.arm_radius)
-    round_ones = [each.shape.radius for each in bodies if isinstance(each.shape, Sphere | Capsule | Cylinder)]
+    round_ones = [body.shape.radius for body in bodies if isinstance(body.shape, Sphere | Capsule | Cylinder)]
     thinnest = min(round_ones, default=0.0)
     missing = thinnest + margin - radius
     if missing > 1e-9 * arm.length:
@@ -920,8 +924,8 @@ class Deviation:
         return 100.0 * self.largest_point / self.length
 
     def __repr__(self) -> str:
-        place = f"{length_text(self.where[self.row])} along the arm in row {self.row}"
-        return f"Deviation({self.percent:.3g} % of {length_text(self.length)}, {place})"
+        where = f"{length_text(self.where[self.row])} along the arm in row {self.row}"
+        return f"Deviation({self.percent:.3g} % of {length_text(self.length)}, {where})"
 
 
 def path_deviation(
@@ -957,9 +961,9 @@ def _deviation(route: Route, rows: Array) -> Deviation:
         _deviation_of_few(route, rows[first : first + DEVIATION.rows_per_chunk])
         for first in range(0, len(rows), DEVIATION.rows_per_chunk)
     ]
-    points = np.concatenate([each.points for each in chunks])
-    body = np.concatenate([each.body for each in chunks])
-    where = np.concatenate([each.where for each in chunks])
+    points = np.concatenate([chunk.points for chunk in chunks])
+    body = np.concatenate([chunk.body for chunk in chunks])
+    where = np.concatenate([chunk.where for chunk in chunks])
     return Deviation(route.fed.length, points, body, where)
 
 
@@ -1013,11 +1017,11 @@ def _travelled(route: Route, tips: Array, depths: Array) -> Array:
     shifts = np.linspace(-near, near, 101)
     s = np.clip(route.fed.run_up + depths[:, None] + shifts, 0.0, curve.length)
     gaps = curve.at(s.ravel()).reshape(*s.shape, 3) - tips[:, None]
-    found = s[np.arange(len(s)), np.argmin(np.einsum("nij,nij->ni", gaps, gaps), axis=1)]
+    parameters = s[np.arange(len(s)), np.argmin(np.einsum("nij,nij->ni", gaps, gaps), axis=1)]
     for _ in range(4):  # refined by steps along the tangent
-        ahead = np.einsum("ni,ni->n", tips - curve.at(found), curve.tangent(found))
-        found = np.clip(found + ahead, 0.0, curve.length)
-    return np.asarray(found)
+        ahead = np.einsum("ni,ni->n", tips - curve.at(parameters), curve.tangent(parameters))
+        parameters = np.clip(parameters + ahead, 0.0, curve.length)
+    return np.asarray(parameters)
 
 
 def _distances(route: Route, places: Array, ends: Array) -> Array:
@@ -1034,13 +1038,13 @@ def _distances(route: Route, places: Array, ends: Array) -> Array:
         gaps = samples[: last[i] + 1] - flat[i]
         nearest[i] = int(np.argmin(np.einsum("ij,ij->i", gaps, gaps)))
     stops = curve.at(ends).repeat(places.shape[1], axis=0)
-    found = np.linalg.norm(flat - samples[nearest], axis=1)
+    distances = np.linalg.norm(flat - samples[nearest], axis=1)
     for other in (nearest - 1, nearest + 1):
         begin = samples[nearest]
         end = samples[np.clip(other, 0, count - 1)]
         chord = np.where((other > last)[:, None], stops, end) - begin
         square = np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-300)
         share = np.clip(np.einsum("ij,ij->i", flat - begin, chord) / square, 0.0, 1.0)
-        found = np.minimum(found, np.linalg.norm(begin + share[:, None] * chord - flat, axis=1))
-    shaped: Array = found.reshape(places.shape[:2])
+        distances = np.minimum(distances, np.linalg.norm(begin + share[:, None] * chord - flat, axis=1))
+    shaped: Array = distances.reshape(places.shape[:2])
     return shaped

@@ -139,8 +139,8 @@ class Keyframe(Declared):
         if self.curve is None:
             self._check_without_curve()
         if self.time is not None and self.duration is not None:
-            given = {"time": self.time, "duration": self.duration}
-            raise InvalidValue("time and duration", given, "one of them, and None for the other")
+            times = {"time": self.time, "duration": self.duration}
+            raise InvalidValue("time and duration", times, "one of them, and None for the other")
         source = in_file(info)
         if source is not None:
             curved = self.curve is not None
@@ -157,9 +157,11 @@ class Keyframe(Declared):
                 raise InvalidValue(name, getattr(self, name), f"{default!r}, as there is no curve")
 
     def __repr__(self) -> str:
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        given = [f"{name}={value!r}" for name, value in values.items() if value != getattr(type(self), name)]
-        return f"Keyframe({', '.join(given)})"
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        options = [
+            f"{name}={value!r}" for name, value in values.items() if value != getattr(type(self), name)
+        ]
+        return f"Keyframe({', '.join(options)})"
 
     @classmethod
     def subject(cls, values: Mapping[str, Any]) -> str:
@@ -205,7 +207,7 @@ def usual_placement(scene: Scene | None, curve: Curve) -> Literal["as_is", "alig
 def as_keyframes(given: Iterable[Keyframe]) -> tuple[Keyframe, ...]:
     """Return keyframes as a tuple; raise InvalidValue unless all are keyframes."""
     listed = tuple(given) if isinstance(given, Iterable) else ()
-    if not listed or not all(isinstance(each, Keyframe) for each in listed):
+    if not listed or not all(isinstance(keyframe, Keyframe) for keyframe in listed):
         raise InvalidValue("keyframes", given, "two or more of Keyframe(...)")
     return listed
 
@@ -352,13 +354,13 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
         where = title(keyframes, index)
         before = f"keyframe {index}"
         time = keyframe.time
-        given = keyframe.time or keyframe.duration or 0.0
+        seconds = keyframe.time or keyframe.duration or 0.0
         if index == 0:
             if keyframe.duration:
-                reason = f"its duration is {given:g} s, the time to return to it in a repeated tour"
+                reason = f"its duration is {seconds:g} s, the time to return to it in a repeated tour"
                 raise TaskError(where, f"{reason}; leave it out, or set repeat to 2 or more")
-            if given != 0.0:
-                reason = f"it is at {given:g} s; the first keyframe is at 0, leave its time out"
+            if seconds != 0.0:
+                reason = f"it is at {seconds:g} s; the first keyframe is at 0, leave its time out"
                 raise TaskError(where, reason)
             time = 0.0
         elif time is None:
@@ -775,7 +777,7 @@ class SequentialFollower:
         state[0] = 0.0
         state[1:4] = self._base
         state[4:7] = curve.points[0]
-        found = np.zeros(len(self._arm.columns))
+        shift = np.zeros(len(self._arm.columns))
         stopped = kernels.place_modules(
             spline,
             length,
@@ -785,13 +787,13 @@ class SequentialFollower:
             self._lower,
             self._upper,
             state,
-            found,
+            shift,
             np.empty(self._arm.n_modules),
         )
         if stopped >= 0:
             return None
         positions = np.zeros(self._arm.nv)
-        positions[self._arm.columns] = found
+        positions[self._arm.columns] = shift
         return positions
 
 
@@ -818,13 +820,13 @@ class LeastSquaresFollower:
             travel: largest motion of the joints from the first to the last [rad, or arm lengths].
         """
         count = len(curves)
-        found = np.empty((count, len(first)))
-        found[0] = first
+        filled = np.empty((count, len(first)))
+        filled[0] = first
         jacobian = problems[0].evaluate(curves[0], first)[1]
         cost = ROW_COSTS.viscosity**2 * count / ROW_COSTS.typical_rows
         weight = cost * stiffness(self.problem, jacobian.T @ jacobian)
         for i in range(1, count):
-            before = found[i - 1]
-            guess = before + (before - found[i - 2] if i > 1 else 0.0)
-            found[i] = refined(problems[i], curves[i], guess, before, weight, travel / count)
-        return found
+            before = filled[i - 1]
+            guess = before + (before - filled[i - 2] if i > 1 else 0.0)
+            filled[i] = refined(problems[i], curves[i], guess, before, weight, travel / count)
+        return filled

@@ -126,12 +126,12 @@ class StretchCurves:
 
     def at(self, row: int) -> BentCurve:
         """Return the curve at a row; efficient for consecutive rows."""
-        chunk, place = divmod(row, TRANSITION.curves_per_chunk)
+        chunk, offset = divmod(row, TRANSITION.curves_per_chunk)
         if chunk != self._chunk:
             begin = TRANSITION.curves_per_chunk * chunk
             self._made = self.of(range(begin, begin + TRANSITION.curves_per_chunk))
             self._chunk = chunk
-        return self._made[place]
+        return self._made[offset]
 
 
 class PieceEnd(NamedTuple):
@@ -217,19 +217,19 @@ class RowSolver:
             if progress is not None:
                 progress(row, schedule.rows)
 
-        found = np.empty((schedule.rows, self._arm.nv))
+        positions = np.empty((schedule.rows, self._arm.nv))
         before = self._motion.keyframes[0].positions
-        found[: schedule.left[0] + 1] = before
+        positions[: schedule.left[0] + 1] = before
         for stretch in schedule.stretches():
             rows = self._stretch(stretch, before, report)
             before = rows[-1]
-            found[stretch.rows[0] : stretch.rows[-1] + 1] = rows
-            found[stretch.rows[-1] : schedule.left[stretch.last] + 1] = before
-        return np.asarray(np.clip(found, self._arm.limits.lower, self._arm.limits.upper))
+            positions[stretch.rows[0] : stretch.rows[-1] + 1] = rows
+            positions[stretch.rows[-1] : schedule.left[stretch.last] + 1] = before
+        return np.asarray(np.clip(positions, self._arm.limits.lower, self._arm.limits.upper))
 
     def _first_guess(self, cycles: Schedule) -> int:
         """Estimate the rows per cycle for short steps from the distances between keyframes."""
-        positions = np.array([each.positions for each in self._motion.keyframes])
+        positions = np.array([keyframe.positions for keyframe in self._motion.keyframes])
         apart = (np.abs(np.diff(positions, axis=0)) / self._arm.joint_units).max(axis=1)
         speed = ROWS.peak_speed_ratio * float((apart / cycles.between).max())
         return _rows_per_cycle(cycles, math.ceil(speed / TRANSITION.row_step))
@@ -253,8 +253,8 @@ class RowSolver:
         shifted = positions.copy()
         for stretch in rows.stretches():
             numbers = np.arange(stretch.rows[0], stretch.rows[-1] + 1)
-            own = shifts[stretch.first : stretch.last + 1]
-            shifted[numbers] += interpolate(stretch, own, self._continuity, numbers)
+            inner = shifts[stretch.first : stretch.last + 1]
+            shifted[numbers] += interpolate(stretch, inner, self._continuity, numbers)
         for shift, reached, left in zip(shifts, rows.reached, rows.left, strict=True):
             if left > reached:
                 shifted[reached : left + 1] = positions[reached : left + 1] + shift
@@ -346,7 +346,7 @@ class RowSolver:
         keyframes = self._motion.keyframes
         begin = int(stretch.rows[0])
         end = int(stretch.rows[-1])
-        keyed = np.array([each.positions for each in keyframes[stretch.first : stretch.last + 1]])
+        keyed = np.array([keyframe.positions for keyframe in keyframes[stretch.first : stretch.last + 1]])
         slid = interpolate(stretch, keyed, self._continuity, range(begin, end + 1))
         slid[stretch.rows - begin] = keyed  # to the last bit
 

@@ -87,7 +87,7 @@ STOPPED = "stopped by the callback"
 
 
 class ReferencePath:
-    """A reference as a path that can be followed at any speed. Places are row numbers, not only whole ones.
+    """A reference as a path that can be followed at any speed; s on it is a row, not only a whole one.
 
     Args:
         reference: the reference.
@@ -95,7 +95,7 @@ class ReferencePath:
 
     Attributes:
         reference: the reference.
-        end: the last place.
+        end: the last s.
         times: planned time of each of its rows, (N + 1,) [s].
         path: its configurations as a path through joint space, within the position limits.
         timed: the path at the largest speed that limits and waypoints allow, up to that of the plan, and
@@ -163,7 +163,7 @@ class ReferencePath:
     def _slow_down_at_marks(self, cycles: int) -> None:
         """Lower the rates at waypoints that the arm would miss if its steps are averaged over so many cycles.
 
-        The arm is then at the mean of the configurations at as many places. Its distance from the path is
+        The arm is then at the mean of as many configurations. Its distance from the path is
         proportional to the square of the rate.
         """
         offsets = self.path.offsets
@@ -196,10 +196,10 @@ class ReferencePath:
                 break
             self._retime()
 
-    def _distance(self, averaged: Array, place: float) -> float:
-        """Return the mean distance of the control points, at a mean of configurations, from a place [m]."""
+    def _distance(self, averaged: Array, s: float) -> float:
+        """Return the mean distance of the control points at a mean of configurations from those at s [m]."""
         arm = self.path.arm
-        target = self.target(place)
+        target = self.target(s)
         q = arm.integrate(self.path.start, self.path.smooth_offset(averaged).mean(axis=0))
         return target.mean_distance(arm.chain_at(q).points)
 
@@ -213,44 +213,44 @@ class ReferencePath:
         offset = self.reference.offsets[row] * (self.reference.arm.moved > 0.0)
         return bool(np.abs(offset - self.path.offsets[row]).max() <= SLACK)
 
-    def time(self, place: float | Array) -> Array:
-        """Return the planned time at places [s]."""
-        return np.asarray(np.interp(place, self._rows, self.times))
+    def time(self, s: float | Array) -> Array:
+        """Return the planned time at s, or at several [s]."""
+        return np.asarray(np.interp(s, self._rows, self.times))
 
-    def cycles(self, place: float, row: int) -> int:
-        """Return the planned number of cycles from a place to a row."""
-        return ceil((float(self.times[row]) - float(self.time(place))) / self._dt - PERFORM.row_tolerance)
+    def cycles(self, s: float, row: int) -> int:
+        """Return the planned number of cycles from s to a row."""
+        return ceil((float(self.times[row]) - float(self.time(s))) / self._dt - PERFORM.row_tolerance)
 
-    def next(self, place: float, speed: float) -> float:
-        """Return the place after the next cycle; the previous one advanced by `speed`."""
-        return min(place + self._profile.next(place, speed), self.end)
+    def next(self, s: float, speed: float) -> float:
+        """Return s after the next cycle; the previous one advanced by `speed`."""
+        return min(s + self._profile.next(s, speed), self.end)
 
-    def target(self, place: float) -> Target:
-        """Return the target posture at a place."""
+    def target(self, s: float) -> Target:
+        """Return the target posture at s."""
         arm = self.reference.arm
-        row = min(int(np.ceil(place)), len(self.times) - 1)
-        offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
+        row = min(int(np.ceil(s)), len(self.times) - 1)
+        offset = np.minimum(np.maximum(self.path.smooth_offset(s), self._lower), self._upper)
         points = arm.kinematics.points(self._start + offset[None])[0]
         q = arm.integrate(self.reference.start, offset)
         points.flags.writeable = False
         q.flags.writeable = False
         return known_target(arm, Target(points, self._weights[row], q))
 
-    def remaining(self, place: float, controller: Geodesic) -> TimedPath:
-        """Return the rest of the path from a place, which is a whole row."""
-        row = int(place)
+    def remaining(self, s: float, controller: Geodesic) -> TimedPath:
+        """Return the rest of the path from s, which is a whole row."""
+        row = int(s)
         path = self.path
-        objective = controller.objective(path.arm, self.target(place))
+        objective = controller.objective(path.arm, self.target(s))
         if row == 0:
             return retime(path.revised(objective=objective), self.timed.limits, self._rates)
         offsets = path.offsets[row:] - path.offsets[row]
         rest = JointPath(objective, path.configuration(row), offsets, controller.scene)
         return retime(rest, self.timed.limits, self._rates[row:])
 
-    def next_waypoint(self, place: float) -> Waypoint:
-        """Return the next named place; the last row if there is none."""
+    def next_waypoint(self, s: float) -> Waypoint:
+        """Return the next waypoint; the last row if there is none."""
         last = self.reference.rows - 1
-        ahead = [waypoint for waypoint in self.reference.waypoints if waypoint.row > place]
+        ahead = [waypoint for waypoint in self.reference.waypoints if waypoint.row > s]
         return ahead[0] if ahead else Waypoint("the end", last, self.target(float(last)))
 
 
@@ -270,7 +270,7 @@ def perform(
     The arm first moves to the start of the reference, unless it is there. Then the plan advances in real
     time where the limits allow it, and more slowly elsewhere. "geodesic" looks ahead: it slows down early
     enough and follows the path of the reference; where an obstacle blocks it, it plans its own path to the
-    next named place. Other controllers get a moving target, which waits for them when they fall behind.
+    next waypoint. Other controllers get a moving target, which waits for them when they fall behind.
 
     Args:
         reference: the planned motion.
@@ -360,7 +360,7 @@ def move_through(
 
 
 class _Performance:
-    """A motion in progress: the place on the reference and the target after each step."""
+    """A motion in progress: s on the reference and the target after each step."""
 
     def __init__(
         self,
@@ -379,22 +379,22 @@ class _Performance:
         self._max_steps = PERFORM.step_budget_extra + int(PERFORM.step_budget_ratio * guide.steps)
         self._max_lag = PERFORM.max_mean_lag * loop.arm.length / loop.arm.n_modules
         self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
-        self._set_place(0.0)
+        self._set_s(0.0)
         self._places = [0.0]
         self._targets = [guide.target(0.0)]
         self._start_index: int | None = None  # None until the first posture is reached
         self._notes: list[str] = []
 
-    def _set_place(self, place: float) -> None:
-        """Set the place of an arm at rest."""
-        self._place = place
-        self._latest.extend([place] * self.loop.filter.cycles)
+    def _set_s(self, s: float) -> None:
+        """Set s of an arm at rest."""
+        self._s = s
+        self._latest.extend([s] * self.loop.filter.cycles)
 
-    def _advance(self, place: float) -> float:
-        """Set the place of the arm ahead; return that of the arm itself, which a jerk limit delays."""
-        self._place = place
-        self._latest.append(place)
-        return place if len(self._latest) == 1 else sum(self._latest) / len(self._latest)
+    def _advance(self, s: float) -> float:
+        """Set s of the arm ahead; return that of the arm itself, which a jerk limit delays."""
+        self._s = s
+        self._latest.append(s)
+        return s if len(self._latest) == 1 else sum(self._latest) / len(self._latest)
 
     def run(self) -> tuple[str, str]:
         """Move to the first posture, along the reference, and to rest; return status and reason."""
@@ -433,17 +433,17 @@ class _Performance:
         )
 
     def _held(self, places: Array) -> tuple[HeldObject, ...]:
-        """Return what the arm held, in rows of the motion, given its place in each."""
+        """Return what the arm held, in rows of the motion, given s in each."""
         planned = self.guide.reference.held
-        rows = [np.searchsorted(places, (each.begin, each.end)).tolist() for each in planned]
+        rows = [np.searchsorted(places, (part.begin, part.end)).tolist() for part in planned]
         return tuple(
-            replace(each, begin=begin, end=end)
-            for each, (begin, end) in zip(planned, rows, strict=True)
+            replace(part, begin=begin, end=end)
+            for part, (begin, end) in zip(planned, rows, strict=True)
             if begin < end
         )
 
     def _result(self, waypoint: Waypoint, until: float, places: Array, run: Run) -> WaypointResult:
-        """Return how a named place was passed, before the next one, which is at `until`.
+        """Return how a waypoint was passed, before the next one, which is at `until`.
 
         That is at the first step at which the arm is near it; at the step nearest in time if it never is.
         """
@@ -505,9 +505,9 @@ class _Performance:
             text += "; it is outside the joint limits, or within their position margin"
         return text
 
-    def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
-        """Come to rest at a place, by any path, not before step `due`; return status and reason."""
-        target = self.guide.target(place)
+    def _go_to(self, s: float, due: int = 0) -> tuple[str, str]:
+        """Come to rest at s, by any path, not before step `due`; return status and reason."""
+        target = self.guide.target(s)
         loop = self.loop
         record = loop.record
         begun = record.steps
@@ -520,10 +520,10 @@ class _Performance:
             if self._report():
                 ended = "stopped", STOPPED
         if ended[0] == "converged":
-            self._set_place(place)
+            self._set_s(s)
             if self._scene is not None:
-                self._enter_stage(place, self._scene)
-        self._fill(self._place, target)
+                self._enter_stage(s, self._scene)
+        self._fill(self._s, target)
         self._max_steps += record.steps - begun
         return ended
 
@@ -541,57 +541,57 @@ class _Performance:
         if self.progress is None:
             return False
         guide = self.guide
-        return self.progress(float(guide.time(self._place)), guide.reference.duration) is True
+        return self.progress(float(guide.time(self._s)), guide.reference.duration) is True
 
-    def _record(self, place: float, target: Target) -> tuple[str, str] | None:
-        """Record the place after a step; return status and reason if the motion ends there."""
-        self._places.append(place)
+    def _record(self, s: float, target: Target) -> tuple[str, str] | None:
+        """Record s after a step; return status and reason if the motion ends there."""
+        self._places.append(s)
         self._targets.append(target)
         if self._scene is not None:
-            self._enter_stage(place, self._scene)
+            self._enter_stage(s, self._scene)
         ended = None
         if self.progress is not None and self._report():
             ended = "stopped", STOPPED
         elif self.loop.record.steps > self._max_steps:
-            seconds = float(self.guide.time(place))
+            seconds = float(self.guide.time(s))
             ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._max_steps} cycles"
         if ended is not None:
             self.loop.brake_to_rest()
-            self._fill(place, target)
+            self._fill(s, target)
         return ended
 
-    def _enter_stage(self, place: float, scene: Scene) -> None:
-        """Go on in the scene of a place, if what the arm holds changes there."""
+    def _enter_stage(self, s: float, scene: Scene) -> None:
+        """Go on in the scene of s, if what the arm holds changes there."""
         stages = self.guide.reference.stages
-        stage = stages.number(place)
+        stage = stages.number(s)
         if stage != self._stage:
             self._stage = stage
             self.loop.enter(stages.scene(stage, scene))
 
-    def _fill(self, place: float, target: Target) -> None:
+    def _fill(self, s: float, target: Target) -> None:
         """Record the steps towards a target during which the plan did not advance."""
         missing = self.loop.record.steps + 1 - len(self._places)
         self._places += [self._places[-1]] * missing
         self._targets += [target] * missing
-        self._places[-1] = place
+        self._places[-1] = s
 
-    def _note(self, place: float, text: str) -> None:
+    def _note(self, s: float, text: str) -> None:
         """Record a deviation from the plan."""
-        self._notes.append(f"at {float(self.guide.time(place)):.4g} s of the plan {text}")
+        self._notes.append(f"at {float(self.guide.time(s)):.4g} s of the plan {text}")
 
     def _look_ahead(self) -> tuple[str, str] | None:
         """Follow the path with a controller that knows it; return None at its end, else status and reason."""
         loop = self.loop
         guide = self.guide
-        while self._place < guide.end:
-            begun = self._place
+        while self._s < guide.end:
+            begun = self._s
             progress = None
             controller = cast(Geodesic, loop.controller)
             remaining = guide.remaining(begun, controller)
             waypoint = guide.next_waypoint(begun)
             loop.memory = controller.start(remaining, loop.ahead.chain_state, loop.memory)
-            while self._place < guide.end:
-                foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
+            while self._s < guide.end:
+                foreseen = guide.next(self._s, 0.0 if progress is None else progress.speed)
                 target = guide.target(foreseen)
                 step = loop.compute(target)
                 ahead = step.memory.progress if isinstance(step.memory, GeodesicMemory) else None
@@ -604,19 +604,19 @@ class _Performance:
                         break
                     waypoint = guide.next_waypoint(begun + ahead.place)
                 progress = ahead
-                place = self._advance(begun + ahead.place)
-                target = target if place == foreseen else guide.target(place)
+                s = self._advance(begun + ahead.place)
+                target = target if s == foreseen else guide.target(s)
                 loop.take(step, target)
-                ended = self._record(place, target)
+                ended = self._record(s, target)
                 if ended is not None:
                     return ended
             else:
                 return self._catch_up()
             loop.refuse(step)
-            waypoint = guide.next_waypoint(self._place)
-            left = self._place
+            waypoint = guide.next_waypoint(self._s)
+            left = self._s
             # A shorter path does not advance the plan faster.
-            due = loop.record.steps + guide.cycles(self._place, waypoint.row)
+            due = loop.record.steps + guide.cycles(self._s, waypoint.row)
             status, reason = self._go_to(float(waypoint.row), due)
             if status != "converged":
                 self._note(left, f"the arm left the path, and did not reach {waypoint.name} by another")
@@ -624,9 +624,9 @@ class _Performance:
             self._note(left, f"the arm left the path, and reached {waypoint.name} by another")
         return None
 
-    def _leaves_path(self, step: Step, place: float) -> bool:
-        """Whether the arm is off the path after a step to a place, so that it would miss a waypoint there."""
-        target = self.guide.target(place)
+    def _leaves_path(self, step: Step, s: float) -> bool:
+        """Whether the arm is off the path after a step to s, so that it would miss a waypoint there."""
+        target = self.guide.target(s)
         points = self.loop.ahead.moved(step.dq).chain_state.points
         apart = target.mean_distance(points)
         share = 1.0 - PERFORM.waypoint_share if self.loop.filter.active else 1.0
@@ -636,11 +636,11 @@ class _Performance:
         """Let an arm that a jerk limit delays come to the end of the path; as `_look_ahead`."""
         ended = None
         while ended is None and self.loop.filter.moving:
-            place = self._advance(self._place)
-            target = self.guide.target(place)
+            s = self._advance(self._s)
+            target = self.guide.target(s)
             self.loop.record.set_target(target)
             self.loop.brake()
-            ended = self._record(place, target)
+            ended = self._record(s, target)
         return ended
 
     def _lead(self) -> tuple[str, str] | None:
@@ -649,23 +649,23 @@ class _Performance:
         guide = self.guide
         speed = 0.0
         patient = True
-        target = guide.target(self._place)
-        while self._place < guide.end:
-            place = self._place
+        target = guide.target(self._s)
+        while self._s < guide.end:
+            s = self._s
             behind = loop.record.mean_error > self._max_lag
             if behind and patient and loop.record.travel_without_progress() >= STALL.travel:
                 error = loop.record.mean_error
-                self._note(place, f"the arm was {length_text(error)} behind on average, and did not catch up")
+                self._note(s, f"the arm was {length_text(error)} behind on average, and did not catch up")
                 patient = False
             if behind and patient:
                 speed = 0.0
             else:
                 patient = patient or not behind
-                place = guide.next(place, speed)
-                speed = place - self._place
-                target = guide.target(place)
-            place = self._advance(place)
-            shown = target if place == self._place else guide.target(place)
+                s = guide.next(s, speed)
+                speed = s - self._s
+                target = guide.target(s)
+            s = self._advance(s)
+            shown = target if s == self._s else guide.target(s)
             if not (behind and patient):
                 loop.record.set_target(shown)
             step = loop.compute(target)
@@ -674,7 +674,7 @@ class _Performance:
                 loop.brake()
             else:
                 loop.take(step)
-            ended = self._record(place, shown)
+            ended = self._record(s, shown)
             if ended is not None:
                 return ended
         return None

@@ -136,10 +136,10 @@ class TipGoal(Declared):
 
     def task(self, arm: Arm) -> EndEffector:
         """Return the goal as a task of the tip."""
-        place: Any = np.array(self.position)
+        pose: Any = np.array(self.position)
         if self.rotation is not None:
-            place = pin.SE3(pin.rpy.rpyToMatrix(*self.rotation), place)
-        return tip_task(arm, place, self.direction)
+            pose = pin.SE3(pin.rpy.rpyToMatrix(*self.rotation), pose)
+        return tip_task(arm, pose, self.direction)
 
 
 @declared()
@@ -201,7 +201,7 @@ MOTIONS: Mapping[str, Any] = MappingProxyType(
 def _read_motion(value: Any, _: ValidationInfo) -> PhaseMotion:
     if isinstance(value, Leader | TipGoal | Withdrawal | Wrapping | Carrying | Release):
         return value
-    if not isinstance(value, list | tuple) or not all(isinstance(each, Keyframe) for each in value):
+    if not isinstance(value, list | tuple) or not all(isinstance(keyframe, Keyframe) for keyframe in value):
         allowed = (
             "a Leader, a TipGoal, one or more of Keyframe(...), a Withdrawal, a Wrapping, a Carrying, or a "
             "Release"
@@ -234,18 +234,18 @@ class Phase(Declared):
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
         """Refuse a phase without a motion, or with several."""
-        given = [key for key in MOTIONS if key in values]
-        if len(given) > 1:
-            raise Refusal(f"does not go with {given[0]!r}; a phase has one motion", given[1])
+        keys = [key for key in MOTIONS if key in values]
+        if len(keys) > 1:
+            raise Refusal(f"does not go with {keys[0]!r}; a phase has one motion", keys[1])
         allowed = ("name", *MOTIONS)
-        if not given and all(key in allowed for key in values):
+        if not keys and all(key in allowed for key in values):
             raise Refusal(f"needs one of the keys {', '.join(map(repr, MOTIONS))}")
         return allowed
 
     @classmethod
     def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
         """Return the values of fields: the one motion that the table has."""
-        key = next(each for each in MOTIONS if each in values)
+        key = next(name for name in MOTIONS if name in values)
         if key == "keyframes" and not is_list_of(is_table)(values[key]):
             raise NotAllowed(values[key], "a list of tables, each begun by [[phases.keyframes]]", key)
         motion = read_within(key, read_again, MOTIONS[key], values[key], source)
@@ -267,7 +267,7 @@ def phase_title(phases: Sequence[Phase], index: int) -> str:
 
 def is_phased(motion: object) -> TypeGuard[tuple[Phase, ...]]:
     """Whether the motion of a task is divided into phases."""
-    return isinstance(motion, tuple) and any(isinstance(each, Phase) for each in motion)
+    return isinstance(motion, tuple) and any(isinstance(phase, Phase) for phase in motion)
 
 
 def keyed(phase: Phase) -> tuple[Keyframe, ...]:
@@ -282,7 +282,7 @@ def check_phases(phases: tuple[Phase, ...], arm: Arm, scene: Scene | None) -> No
     Raises:
         TaskError: names the phase.
     """
-    if not all(isinstance(each, Phase) for each in phases):
+    if not all(isinstance(phase, Phase) for phase in phases):
         raise InvalidValue("motion", phases, "only phases, or only keyframes")
     raise_together(gather(*(_check(phases, index, arm, scene) for index in range(len(phases)))))
 
@@ -367,7 +367,7 @@ def _naming(phases: Sequence[Phase], index: int, begun: bool = False) -> Iterato
     except PostureError as error:
         reason = str(error)
         if begun:
-            reason = re.sub(r"\bkeyframe (\d+)", lambda found: f"keyframe {int(found[1]) - 1}", reason)
+            reason = re.sub(r"\bkeyframe (\d+)", lambda match: f"keyframe {int(match[1]) - 1}", reason)
         raise TaskError(phase_title(phases, index), reason) from error
 
 
@@ -532,7 +532,7 @@ class _Planner:
         held: list[HeldObject] = []
         for piece in self._pieces:
             row = sum(map(len, offsets)) - 1
-            held += [each.shifted(row) for each in piece.held]
+            held += [part.shifted(row) for part in piece.held]
             offsets.append(offsets[-1][-1] + piece.offsets[1:])
             weights.append(piece.weights[1:])
             waypoints += [waypoint._replace(row=waypoint.row + row) for waypoint in piece.waypoints]
@@ -595,21 +595,21 @@ class _Planner:
         q = start
         offsets = [np.zeros(arm.nv)]
         for share in np.arange(1, steps + 1) / steps:
-            place: Any = (1.0 - share) * now.translation + share * there
+            pose: Any = (1.0 - share) * now.translation + share * there
             direction = None
             if goal.rotation is not None:
                 posed = pin.SE3(pin.rpy.rpyToMatrix(*goal.rotation), there)
-                place = pin.SE3(pin.SE3.Interpolate(now, posed, float(share)).rotation, place)
+                pose = pin.SE3(pin.SE3.Interpolate(now, posed, float(share)).rotation, pose)
             if goal.direction is not None:
                 direction = (1.0 - share) * link + share * np.array(unit_vector("direction", goal.direction))
             try:
-                found = reach_from(arm, place, q, scene, self._limits, direction)
+                goal_reached = reach_from(arm, pose, q, scene, self._limits, direction)
             except PostureError:  # a place on the way, or a direction, that there is not
                 return None
-            if found is None:
+            if goal_reached is None:
                 return None
-            offsets.append(offsets[-1] + arm.difference(q, found.q))
-            q = found.q
+            offsets.append(offsets[-1] + arm.difference(q, goal_reached.q))
+            q = goal_reached.q
         rows = np.array(offsets)
         if scene is not None:
             clear = CollisionModel(arm, scene).minimum_on_motions(start, rows).distance
@@ -620,10 +620,10 @@ class _Planner:
     def _search(self, goal: TipGoal) -> JointPath:
         """Return the clear path to a posture found by `reach`."""
         posed = pin.SE3(pin.rpy.rpyToMatrix(*(goal.rotation or (0.0, 0.0, 0.0))), np.array(goal.position))
-        place = posed.translation if goal.rotation is None else posed
+        pose = posed.translation if goal.rotation is None else posed
         found = reach(
             self._arm,
-            place,
+            pose,
             direction=goal.direction,
             scene=self._scene,
             start=self._begin(),
@@ -640,8 +640,8 @@ class _Planner:
     def _take(self, keyframes: tuple[Keyframe, ...], name: str) -> None:
         if self._pieces and self._q is not None:
             keyframes = tuple(
-                replace(each, name=each.name or f"keyframe {number}")
-                for number, each in enumerate(keyframes, start=1)
+                replace(keyframe, name=keyframe.name or f"keyframe {number}")
+                for number, keyframe in enumerate(keyframes, start=1)
             )
             keyframes = (Keyframe(joints=tuple(self._arm.positions(self._q))), *keyframes)
         keyframes = placed(keyframes, self._scene)
@@ -736,7 +736,7 @@ class _Planner:
         )
         share = smooth_step(np.linspace(0.0, 1.0, rows + 1))
         places = np.interp(share * travel[-1], travel, np.arange(len(travel), dtype=np.float64))
-        offsets = np.array([path.smooth_offset(float(place)) for place in places])
+        offsets = np.array([path.smooth_offset(float(s)) for s in places])
         held = round(hold / self._dt)
         offsets = np.vstack([offsets, np.repeat(offsets[-1:], held, axis=0)])
         durations = np.append(np.full(rows, duration / rows), np.full(held, self._dt))

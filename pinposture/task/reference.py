@@ -201,7 +201,7 @@ def posture_feasibility(
         limits: limits whose torque limits the motors keep; None: none.
     """
     arm = reference.arm
-    found = []
+    postures = []
     for waypoint in _named(reference):
         q = reference.configuration(waypoint.row)
         stage = reference.stages.number(waypoint.row)
@@ -212,8 +212,8 @@ def posture_feasibility(
         moved = waypoint.target.moved
         lack = None if limits is None else find_overload(arm, q, limits)
         off = off_curve(waypoint)
-        found.append(PostureFeasibility(waypoint.name, planned, off, tip, room, pair, moved, lack))
-    return found
+        postures.append(PostureFeasibility(waypoint.name, planned, off, tip, room, pair, moved, lack))
+    return postures
 
 
 def _closest(arm: Arm, q: Array, scene: Scene) -> Closest:
@@ -230,7 +230,7 @@ def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, Posture
         return {}
     titles = [title for title, _ in _titled(reference)]
     places = dict(zip(titles, posture_feasibility(reference, scene), strict=True))
-    return {where: place for where, place in places.items() if place.crowding(scene.margin)}
+    return {where: posture for where, posture in places.items() if posture.crowding(scene.margin)}
 
 
 def require_held_postures(reference: Reference, limits: Limits) -> None:
@@ -249,9 +249,9 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
     Raises:
         TaskError: the motion begins in collision.
     """
-    for where, place in find_crowded(reference, scene).items():
-        inside = place.crowding(0.0)
-        if inside and place.planned == 0.0:
+    for where, posture in find_crowded(reference, scene).items():
+        inside = posture.crowding(0.0)
+        if inside and posture.planned == 0.0:
             raise TaskError(where, f"{inside}; move one of them, or change the start")
         if inside:
             warn_caller(f"{where}: {inside}")
@@ -270,7 +270,10 @@ def _named(reference: Reference) -> list[Waypoint]:
 def _titled(reference: Reference) -> list[tuple[str, Waypoint]]:
     """Return the same with their titles in messages."""
     named = enumerate(_named(reference), start=1)
-    return [(f"keyframe {k} {each.name!r}" if reference.numbered else each.name, each) for k, each in named]
+    return [
+        (f"keyframe {k} {waypoint.name!r}" if reference.numbered else waypoint.name, waypoint)
+        for k, waypoint in named
+    ]
 
 
 # Curves as vectors: start, initial direction, and bending.
@@ -514,7 +517,7 @@ def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -
     """
     if scene is None:
         return
-    still = {name: each for name, each in scene.obstacles.items() if name not in scene.moving}
+    still = {name: obstacle for name, obstacle in scene.obstacles.items() if name not in scene.moving}
     scene = scene.with_obstacles(still).without_self_collision()
     for waypoint, rows, distances in _ways(reference, scene):
         model = CollisionModel(reference.arm, scene)
@@ -604,15 +607,15 @@ def _gap(body: str, near: Distances, chosen: NDArray[np.int64], margin: float, s
     turning = np.cross(arms, normals) / size
     rows = np.hstack([-normals, -turning, np.ones((len(chosen), 1))])
     bounds = [(-shift, shift)] * 6 + [(None, margin)]
-    found = linprog(np.append(np.zeros(6), -1.0), A_ub=rows, b_ub=distances, bounds=bounds)
-    room = float(found.x[6]) if found.success else margin
+    solution = linprog(np.append(np.zeros(6), -1.0), A_ub=rows, b_ub=distances, bounds=bounds)
+    room = float(solution.x[6]) if solution.success else margin
     names = dict.fromkeys(near.pairs[index][1] for index in chosen[np.argsort(distances, kind="stable")])
     return Gap(body, tuple(names)[:2], room)
 
 
 def _in_words(gap: Gap, reference: Reference, scene: Scene, shift: float, row: int) -> str:
     bodies = bodies_of(reference.arm, scene.arm_radius)
-    radius = max(each.shape.solid().radius for each in bodies if each.name == gap.body)
+    radius = max(body.shape.solid().radius for body in bodies if body.name == gap.body)
     return (
         f"the gap at {' and '.join(gap.obstacles)} is too narrow for {gap.body} "
         f"at {reference.times[row]:.4g} s of the plan: "

@@ -150,7 +150,7 @@ class Retreats:
     @property
     def blocked(self) -> tuple[Retreat, ...]:
         """The answers without a way out."""
-        return tuple(each for each in self.ways if each.path is None)
+        return tuple(way for way in self.ways if way.path is None)
 
     def __repr__(self) -> str:
         first = "" if self.first is None else f", first {self.first}"
@@ -232,14 +232,14 @@ def can_retreat(
     ways = _Ways(arm, rows, scene, outside, limits, budget)
     columns = _columns(arm, failed)
     chosen = range(len(rows)) if postures is None else _rows(postures, len(rows))
-    found: list[Retreat] = []
+    retreats: list[Retreat] = []
     for done, row in enumerate(chosen, start=1):
-        found += [ways.find(row, column) for column in columns]
+        retreats += [ways.find(row, column) for column in columns]
         if progress is not None:
             progress(done, len(chosen))
-        if until_blocked and any(each.path is None for each in found):
+        if until_blocked and any(retreat.path is None for retreat in retreats):
             break
-    return Retreats(tuple(found))
+    return Retreats(tuple(retreats))
 
 
 def _configurations(arm: Arm, name: str, given: ArrayLike) -> Array:
@@ -276,11 +276,11 @@ def _rows(postures: Sequence[int], count: int) -> Sequence[int]:
 
 def _strides(arm: Arm, rows: Array) -> NDArray[np.int64]:
     """Return the first row, and others between which no control point moves by more than a stride."""
-    stride = RETREAT.stride * float(arm.chain.module_lengths.mean())
+    max_step = RETREAT.stride * float(arm.chain.module_lengths.mean())
     points = np.array([arm.chain_at(q).points for q in rows])
     kept = [0]
     for row in range(1, len(rows) - 1):
-        if np.linalg.norm(points[row + 1] - points[kept[-1]], axis=1).max() > stride:
+        if np.linalg.norm(points[row + 1] - points[kept[-1]], axis=1).max() > max_step:
             kept.append(row)
     return np.array(kept)
 
@@ -349,10 +349,10 @@ class _Ways:
             with no_warnings():  # the model of the arm whose joints all work has warned
                 way = _Way(locked, self._scene, self._limits, least)
                 way.begin(q)
-                found = way.out(back, outside, self._budget)
-            if isinstance(found, JointPath):
-                return Retreat(row, name, position, found, "")
-            reasons.append(found)
+                path = way.out(back, outside, self._budget)
+            if isinstance(path, JointPath):
+                return Retreat(row, name, position, path, "")
+            reasons.append(path)
         return Retreat(row, name, position, None, "; or ".join(reasons))
 
 
@@ -399,10 +399,10 @@ class _Way:
                 words = describe_distance(closest.pair or (), closest.distance)
                 return f"outside, with the joint where it is, {words}, and no clear posture was found nearby"
         self._follow(back)
-        found = self._end(goal, budget)
-        if found.blocked_by:
-            return f"{found.blocked_by}; there may be a way that was not found"
-        return found
+        end = self._end(goal, budget)
+        if end.blocked_by:
+            return f"{end.blocked_by}; there may be a way that was not found"
+        return end
 
     def _follow(self, back: Array) -> None:
         """Follow configurations, (n, nq), as far as the obstacles and the joint that is stuck let the arm."""
@@ -419,11 +419,11 @@ class _Way:
         if self._move_to(goal):
             offsets = divide(np.array(self._offsets), arm.joint_units)
             return JointPath(Objective(arm, target), self._start, offsets, self._scene, found_by=BACK)
-        found = plan(self._state, target, self._scene, self._limits, budget=budget)
+        path = plan(self._state, target, self._scene, self._limits, budget=budget)
         before = divide(np.array(self._offsets), arm.joint_units)
-        offsets = np.concatenate([before, before[-1] + found.offsets[1:]])
-        found_by = f"{BACK}, {found.found_by}" if len(self._offsets) > 1 else found.found_by
-        return replace(found, start=self._start, offsets=offsets, found_by=found_by)
+        offsets = np.concatenate([before, before[-1] + path.offsets[1:]])
+        found_by = f"{BACK}, {path.found_by}" if len(self._offsets) > 1 else path.found_by
+        return replace(path, start=self._start, offsets=offsets, found_by=found_by)
 
     def _follow_to(self, before: Array, q: Array, halvings: int) -> bool:
         """Move to a configuration of the way back, (nq,), or near it; return whether the arm could.

@@ -80,7 +80,7 @@ class Arcs(NamedTuple):
 
     def first(self, count: int) -> Arcs:
         """Return the first of them."""
-        return Arcs(*(each[:count] for each in self))
+        return Arcs(*(arc[:count] for arc in self))
 
     def then(self, other: Arcs) -> Arcs:
         """Return these, and others behind them."""
@@ -310,21 +310,21 @@ class Steering:
             InvalidValue: a number that is not finite.
         """
         speed = as_number("speed", speed, "a finite number [m/s]", lambda _: True)
-        given = None if curvature is None else finite_vector("curvature", curvature, 2)
+        checked = None if curvature is None else finite_vector("curvature", curvature, 2)
         self.reason = ""
         before = self.q
         distance = speed * self._dt
         path = self._posture.path
-        if distance > 0.0 and given is not None:
-            self._lay(distance, given)
+        if distance > 0.0 and checked is not None:
+            self._lay(distance, checked)
         elif distance != 0.0:
             missing = self._posture.placement.tip + 2.0 * distance - path.end
-            found = self._move(distance, path if missing <= 0.0 else path.extended(path.end, missing, AHEAD))
-            if isinstance(found, str):
-                self.reason = f"stands: {found}"
+            step = self._move(distance, path if missing <= 0.0 else path.extended(path.end, missing, AHEAD))
+            if isinstance(step, str):
+                self.reason = f"stands: {step}"
             else:
-                self._posture = found
-                self.reason = found.reason
+                self._posture = step
+                self.reason = step.reason
         return moving_target(self.arm, before, self.q, self._dt)
 
     def _lay(self, distance: float, curvature: Array) -> None:
@@ -332,14 +332,14 @@ class Steering:
         shares = STEERING.eased if np.any(curvature) else (1.0,)
         first = self._first_share(curvature)
         for index in range(first, len(shares)):
-            found = self._move_on_arc(distance, shares[index] * curvature)
-            if not isinstance(found, str):
+            step = self._move_on_arc(distance, shares[index] * curvature)
+            if not isinstance(step, str):
                 self._eased = index
-                self._posture = found
-                self.reason = f"bends less: {self._refused}" if index else found.reason
+                self._posture = step
+                self.reason = f"bends less: {self._refused}" if index else step.reason
                 return
             if index == 0:  # what is said is why not all of the curvature is possible
-                self._refused = found
+                self._refused = step
         self._eased = len(shares) - 1
         self.reason = f"stands: {self._refused}"
 

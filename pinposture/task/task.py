@@ -176,7 +176,7 @@ class Task:
         elif self.motion.placement is None:
             placement = usual_placement(self.scene, self.motion.path)
             self._set("motion", replace(self.motion, placement=placement))
-        self._set("formats", tuple(each for each in RESULT_FORMATS if each in formats))
+        self._set("formats", tuple(name for name in RESULT_FORMATS if name in formats))
         self._set("described", dict(self.described))
         if self.start is not None:
             start = self.arm.checked_start(self.start, "start")
@@ -188,11 +188,11 @@ class Task:
         if isinstance(motion, Leader):
             does = f"follow {motion.path}"
         elif is_phased(motion):
-            names = ", ".join(each.name or str(number) for number, each in enumerate(motion, 1))
+            names = ", ".join(part.name or str(number) for number, part in enumerate(motion, 1))
             does = f"{len(motion)} phases: {textwrap.shorten(names, 70, placeholder=' ...')}"
         else:
             keyframes = cast("tuple[Keyframe, ...]", motion)
-            names = ", ".join(each.name or str(number) for number, each in enumerate(keyframes, 1))
+            names = ", ".join(keyframe.name or str(number) for number, keyframe in enumerate(keyframes, 1))
             does = f"{len(motion)} keyframes: {textwrap.shorten(names, 70, placeholder=' ...')}"
         laps = f", {self.repeat} times" if self.repeat > 1 else ""
         around = f"{self.scene}, " if self.scene else ""
@@ -237,7 +237,7 @@ class Task:
                 raise
             reasons = error.reasons or (error,)
             if _PHASE.match(str(reasons[0])):
-                raise document.together([_at_phase(document, each) for each in reasons]) from error
+                raise document.together([_at_phase(document, reason) for reason in reasons]) from error
             raise document.fault((), str(error)) from error
 
     def save(self, path: str | Path) -> Path:
@@ -404,7 +404,7 @@ class Task:
         """Return an error with the line of each of its reasons."""
         if not error.reasons:
             return self._located(document, error, where)
-        return document.together([self._located(document, each, where) for each in error.reasons])
+        return document.together([self._located(document, reason, where) for reason in error.reasons])
 
     def _located(self, document: Document, error: PostureError, where: KeyPath) -> FileError:
         message = str(error)
@@ -429,8 +429,8 @@ class Task:
 def _at_phase(document: Document, error: PostureError) -> FileError:
     """Return the error of a phase, with its line."""
     message = str(error)
-    found = _PHASE.match(message)
-    line = document.line(("phases", int(found[1]) - 1) if found else ("phases",))
+    match = _PHASE.match(message)
+    line = document.line(("phases", int(match[1]) - 1) if match else ("phases",))
     return FileError(document.path, message if line is None else f"line {line}: {message}")
 
 
@@ -456,12 +456,12 @@ def _check(task: Task) -> None:
     task.limits.for_arm(task.arm)
     require_known("continuity", task.continuity, CONTINUITIES)
     require_whole("repeat", task.repeat, 1)
-    for each in task.formats:
-        require_known("format", each, RESULT_FORMATS)
+    for format_name in task.formats:
+        require_known("format", format_name, RESULT_FORMATS)
     require_instance("name", task.name, str, "text")
     described = task.described
     kinds = (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
-    if not isinstance(described, Mapping) or not all(isinstance(each, kinds) for each in described):
+    if not isinstance(described, Mapping) or not all(isinstance(part, kinds) for part in described):
         allowed = "a mapping from curves, tips, a scene or obstacles to their descriptions"
         raise InvalidValue("described", described, allowed)
     if isinstance(task.motion, Leader):
@@ -526,8 +526,8 @@ def _check_keys(values: Mapping[str, Any], _: object) -> Mapping[str, Any]:
     if version is True or version != VERSION:
         raise Refusal(f"is {shown(version)}; allowed: {VERSION}", "version")
     kind = read_within("kind", read_word, values.get("kind", "keyframes"), _KEYS_OF_KIND)
-    own = _KEYS_OF_KIND[kind]
-    others = {key: other for other, keys in _KEYS_OF_KIND.items() for key in keys if key not in own}
+    kind_keys = _KEYS_OF_KIND[kind]
+    others = {key: other for other, keys in _KEYS_OF_KIND.items() for key in keys if key not in kind_keys}
     for key, other in others.items():
         if key in values:
             raise Refusal(f"goes with kind = {other!r}; the kind is {kind!r}", key)
@@ -542,9 +542,9 @@ def _read_list(kind: type[Keyframe | Phase], key: str, least: int) -> PlainValid
         if not is_list_of(is_table)(listed):
             raise NotAllowed(value, f"a list of tables, each begun by [[{key}]]")
         if len(listed) < least:
-            found = "only one" if listed else "none"
+            number = "only one" if listed else "none"
             words = {1: "one", 2: "two"}[least]
-            raise Refusal(f"there is {found}; allowed: {words} or more, each begun by [[{key}]]")
+            raise Refusal(f"there is {number}; allowed: {words} or more, each begun by [[{key}]]")
         return read_as(tuple[kind, ...], listed, in_file(info))  # type: ignore[valid-type]
 
     return read_by(read)
@@ -591,10 +591,10 @@ def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
     document.arm = read_arm(document) if arm is None else arm
     motion = _KEYS_OF_KIND[values.get("kind", "keyframes")][0]
     needed = ("scene", motion, "limits", "controller")
-    found = document.read_all({key: kind for key, kind in _READ_AS.items() if key in values or key in needed})
-    scene = found["scene"]
-    _check_surroundings(document, found.get(motion), scene)
-    arguments = {_OTHER_NAMES.get(key, key): value for key, value in found.items()}
+    parts = document.read_all({key: kind for key, kind in _READ_AS.items() if key in values or key in needed})
+    scene = parts["scene"]
+    _check_surroundings(document, parts.get(motion), scene)
+    arguments = {_OTHER_NAMES.get(key, key): value for key, value in parts.items()}
     return {
         "arm": document.arm,
         "name": document.path.stem,
@@ -611,7 +611,7 @@ def _check_surroundings(document: Document, motion: Any, scene: Scene | None) ->
         leaders: dict[KeyPath, Any] = {("leader",): motion}
     else:
         leaders = {
-            ("phases", index, "leader"): getattr(each, "motion", None) for index, each in enumerate(motion)
+            ("phases", index, "leader"): getattr(phase, "motion", None) for index, phase in enumerate(motion)
         }
     for where, leader in leaders.items():
         if not isinstance(leader, Leader):
@@ -725,7 +725,7 @@ def _same_spec(one: ArmSpec, other: ArmSpec) -> bool:
     """Whether two specifications are the same; files may be named through links."""
 
     def resolved(spec: ArmSpec) -> ArmSpec:
-        folders = tuple(each.resolve() for each in spec.package_dirs)
+        folders = tuple(folder.resolve() for folder in spec.package_dirs)
         file = None if spec.urdf is None else Path(spec.urdf).resolve()
         return replace(spec, urdf=file, package_dirs=folders)
 

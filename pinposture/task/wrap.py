@@ -315,13 +315,13 @@ def find_grip(
     to others, as what follows it among obstacles needs; the real arm stops at the object before.
     """
     obstacle = wrapping.obstacle
-    found = _Wrap(arm, obstacle, scene, wrapping.turns).find(start)
-    way = found.winding
-    touching = arm.integrate(found.opened, way[-1])
+    wound = _Wrap(arm, obstacle, scene, wrapping.turns).find(start)
+    way = wound.winding
+    touching = arm.integrate(wound.opened, way[-1])
     further = wrapping.squeeze * way[-1]
     if wrapping.force is not None:
         further = _pressed(arm, touching, scene, wrapping)
-    further = np.where(_holds(arm, found.first), further, 0.0)
+    further = np.where(_holds(arm, wound.first), further, 0.0)
     if clear:
         held = _squeezed(arm, scene, obstacle, touching, further)
     else:
@@ -332,11 +332,11 @@ def find_grip(
             f"the commands that press with {wrapping.force:g} N reach a limit, or the margin to something"
         )
         raise TaskError(_where(obstacle), f"{reason}; ask for less, or use stiffer joints")
-    goal = Target.from_configuration(arm, found.opened)
+    goal = Target.from_configuration(arm, wound.opened)
     approach = plan(arm.at(start), goal, _untouchable(scene, obstacle), limits)
     if approach.blocked_by:
         raise TaskError(_where(obstacle), f"the way to where it begins is blocked: {approach.blocked_by}")
-    ways = {"wind": arm.integrate(found.opened, way), "squeeze": np.array([touching, held])}
+    ways = {"wind": arm.integrate(wound.opened, way), "squeeze": np.array([touching, held])}
     if approach.length > 0.0:
         ways = {"approach": approach.configurations, **ways}
     return Grip(
@@ -345,8 +345,8 @@ def find_grip(
         obstacle=obstacle,
         limits=limits,
         friction=wrapping.friction,
-        first=found.first,
-        opened=found.opened,
+        first=wound.first,
+        opened=wound.opened,
         winding=way,
         touching=touching,
         held=held,
@@ -386,7 +386,7 @@ def _squeezed(arm: Arm, scene: Scene, obstacle: str, touching: Array, further: A
         further: displacement beyond it, (nv,) [rad or m]; it is cut short where joint limits, or the margin
             to all but the object, are reached.
     """
-    others = {name: each for name, each in scene.obstacles.items() if name != obstacle}
+    others = {name: shape for name, shape in scene.obstacles.items() if name != obstacle}
     model = CollisionModel(arm, scene.with_obstacles(others))
     share = 1.0
     while share > WINDING.least_squeeze:
@@ -654,20 +654,20 @@ class _Wrap:
     def find(self, start: Array) -> _Found:
         """Find the wrap that touches the object with most bodies, from a start, (nq,), and other postures."""
         arm = self.arm
-        gap = max(each.shape.solid().radius for each in bodies_of(arm, self.scene.arm_radius))
-        found: list[_Found] = []
+        gap = max(body.shape.solid().radius for body in bodies_of(arm, self.scene.arm_radius))
+        windings: list[_Found] = []
         errors: dict[str, TaskError] = {}
         for seed in self._seeds(self._last_free(self._winding(gap)), start):
             try:
-                found.append(self._find_from(seed, gap))
+                windings.append(self._find_from(seed, gap))
             except TaskError as error:
                 errors[error.reason] = error
-        if not found:
+        if not windings:
             raise_together(list(errors.values()))
         straight = arm.straight()
-        bends = [float(np.linalg.norm(arm.difference(straight, each.opened))) for each in found]
-        touching = [self._count_touching(arm.integrate(each.opened, each.winding[-1])) for each in found]
-        return found[min(range(len(found)), key=lambda k: (-touching[k], bends[k]))]
+        bends = [float(np.linalg.norm(arm.difference(straight, way.opened))) for way in windings]
+        touching = [self._count_touching(arm.integrate(way.opened, way.winding[-1])) for way in windings]
+        return windings[min(range(len(windings)), key=lambda k: (-touching[k], bends[k]))]
 
     def _find_from(self, seed: Array, gap: float) -> _Found:
         """Find a wrap from a posture, (nq,), with a gap to begin with [m]."""
@@ -844,12 +844,12 @@ def _check(grip: Grip) -> None:
     if grip.first >= arm.n_modules - 1:
         raise InvalidValue("first", grip.first, f"an index below {arm.n_modules - 1}")
     shapes: dict[str, tuple[int, ...]] = {name: (arm.nq,) for name in ("opened", "touching", "held")}
-    given = vars(grip) | {f"way {name}": way for name, way in grip.ways.items()}
+    fields = vars(grip) | {f"way {name}": way for name, way in grip.ways.items()}
     shapes |= {f"way {name}": (len(way), arm.nq) for name, way in grip.ways.items()}
     shapes |= {"winding": (len(grip.winding), arm.nv), "displacement": (4, 4)}
-    check_arrays(given, shapes)
+    check_arrays(fields, shapes)
     for name in shapes:
-        require_finite(name, given[name])
+        require_finite(name, fields[name])
     cycle_of(grip.limits)
     require_positive("friction", grip.friction, zero=True)
 
