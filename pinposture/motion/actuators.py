@@ -87,7 +87,7 @@ class Actuators(Declared):
         count = len(self.names)
         matrix = finite_array("matrix", self.matrix, (count, self.arm.nv))
         units = tuple(self.units) if isinstance(self.units, Iterable) else ()
-        if len(units) != count or not all(each in (RADIAN, METRE) for each in units):
+        if len(units) != count or not all(unit in (RADIAN, METRE) for unit in units):
             allowed = f"{RADIAN!r} or {METRE!r} for each of {count} actuators"
             raise InvalidValue("units", self.units, allowed)
         limits = {}
@@ -195,11 +195,11 @@ class Actuators(Declared):
         Raises:
             InvalidValue: not k finite numbers, or actuators that do not determine the degrees of freedom.
         """
-        given = finite_vector("positions", positions, len(self.names))
+        checked = finite_vector("positions", positions, len(self.names))
         u, sigma, vt = self._require_determined()
         moved = np.zeros(self.arm.nv)
-        moved[self.arm.columns] = vt.T @ ((u.T @ given) / sigma)
-        return self.arm.configuration(moved), float(np.abs(self.matrix @ moved - given).max())
+        moved[self.arm.columns] = vt.T @ ((u.T @ checked) / sigma)
+        return self.arm.configuration(moved), float(np.abs(self.matrix @ moved - checked).max())
 
     def _require_determined(self) -> tuple[Array, Array, Array]:
         """Return the singular values of the matrix; raise InvalidValue if a degree of freedom is free."""
@@ -227,11 +227,11 @@ class Actuators(Declared):
         Raises:
             InvalidValue: not positive numbers, or actuators that leave a degree of freedom free: names it.
         """
-        each = _of_each("stiffness", stiffness, len(self.names))
-        for number in each:
+        stiffnesses = _of_each("stiffness", stiffness, len(self.names))
+        for number in stiffnesses:
             require_positive("stiffness", float(number))
         self._require_determined()
-        return np.asarray(self.matrix.T @ (each[:, None] * self.matrix))
+        return np.asarray(self.matrix.T @ (stiffnesses[:, None] * self.matrix))
 
     def tensions(
         self, torques: ArrayLike, least: float | ArrayLike = 0.0, most: float | ArrayLike = inf
@@ -254,7 +254,7 @@ class Actuators(Declared):
                 no such tensions exert: names the joint that lacks most.
         """
         count = len(self.names)
-        wanted = finite_vector("torques", torques, self.arm.nv)
+        needed = finite_vector("torques", torques, self.arm.nv)
         turning = [name for name, unit in zip(self.names, self.units, strict=True) if unit != METRE]
         if turning:
             raise InvalidValue("units", self.units, f"{METRE!r}, of tendons; {turning[0]!r} is none")
@@ -266,22 +266,22 @@ class Actuators(Declared):
         u, sigma, vt = np.linalg.svd(pull, full_matrices=False)
         rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma.max(initial=0.0)))
         # Equations with orthonormal rows, which say the same.
-        exact = (u[:, :rank].T @ wanted) / sigma[:rank]
+        exact = (u[:, :rank].T @ needed) / sigma[:rank]
         size = max(float(np.abs(exact).max(initial=0.0)), float(lower.max()), 1e-30)
         bounds = (lower / size, np.minimum(upper / size, ROW_PROGRAM.no_bound))
-        found = solve(np.eye(count), np.zeros(count), *bounds, equal=(vt[:rank], exact / size)).x
-        if found is not None:
-            tensions = np.clip(size * found, lower, upper)
-            lack = np.abs(pull @ tensions - wanted)
-            if lack.max(initial=0.0) <= BALANCED * max(float(np.abs(wanted).max()), size * sigma.max()):
+        balanced = solve(np.eye(count), np.zeros(count), *bounds, equal=(vt[:rank], exact / size)).x
+        if balanced is not None:
+            tensions = np.clip(size * balanced, lower, upper)
+            lack = np.abs(pull @ tensions - needed)
+            if lack.max(initial=0.0) <= BALANCED * max(float(np.abs(needed).max()), size * sigma.max()):
                 return tensions
-        raise self._lacking(pull, wanted, lower, upper)
+        raise self._lacking(pull, needed, lower, upper)
 
-    def _lacking(self, pull: Array, wanted: Array, lower: Array, upper: Array) -> InvalidValue:
+    def _lacking(self, pull: Array, needed: Array, lower: Array, upper: Array) -> InvalidValue:
         """Return the error of torques that no tensions exert."""
         most = np.where(upper > lower, upper, np.nextafter(lower, inf))
-        nearest = lsq_linear(pull, wanted, (lower, most)).x
-        lack = wanted - pull @ nearest
+        nearest = lsq_linear(pull, needed, (lower, most)).x
+        lack = needed - pull @ nearest
         worst = int(np.abs(lack).argmax())
         joint = self.arm.joint_names[worst]
         unit = "N" if self.arm.in_metres[worst] else "N m"
@@ -289,7 +289,7 @@ class Actuators(Declared):
         full = [name for name, t, top in zip(self.names, nearest, upper, strict=True) if t >= top * FULL]
         if full:
             allowed += f" with {enumerated([repr(name) for name in full], 4)} at the largest tension"
-        return InvalidValue(f"torque of joint {joint!r}", float(wanted[worst]), allowed)
+        return InvalidValue(f"torque of joint {joint!r}", float(needed[worst]), allowed)
 
     def limits(self, limits: Limits) -> Limits:
         """Return joint limits with which the actuators keep their velocity and acceleration limits.

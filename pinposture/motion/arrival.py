@@ -281,8 +281,8 @@ class Blockage:
         self._rested += dt
         if self._rested < self._settling_time:
             return
-        found = np.zeros(self._arm.nv) if displacement is None else displacement
+        offset = np.zeros(self._arm.nv) if displacement is None else displacement
         if self._displacement is None:
-            self._displacement = found
-        if np.any(np.abs(found - self._displacement) > STALL.other_displacement * self._arm.joint_units):
+            self._displacement = offset
+        if np.any(np.abs(offset - self._displacement) > STALL.other_displacement * self._arm.joint_units):
             self.restart()

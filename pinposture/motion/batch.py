@@ -182,7 +182,7 @@ class Batch:
         loads = [self.arm.at(q).most_loaded() for q in self.q_final] if self.arm.torques_known else []
         heavy = {run: load for run, load in enumerate(loads) if load is not None and load.exceeded}
         if heavy:
-            run, load = max(heavy.items(), key=lambda each: each[1].share)
+            run, load = max(heavy.items(), key=lambda item: item[1].share)
             most = f"most in run {run}: {load}"
             found.append(f"the final posture cannot be held in {len(heavy)} of {len(self)} runs, {most}")
         return tuple(found)
@@ -196,8 +196,10 @@ class Batch:
         """Return the batch as data for JSON, without the configurations; lengths in metres."""
         names = ("status", "reason", "steps", "start_error", "final_error", "mean_error", "path_length_ratio")
         columns: dict[str, list[Any]] = {name: getattr(self, name).tolist() for name in names}
-        columns["clearance"] = [each if np.isfinite(each) else None for each in self.clearance.tolist()]
-        columns["closest"] = [each or None for each in self.closest.tolist()]
+        columns["clearance"] = [
+            distance if np.isfinite(distance) else None for distance in self.clearance.tolist()
+        ]
+        columns["closest"] = [pair or None for pair in self.closest.tolist()]
         runs = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return {
             "verdict": self.verdict,
@@ -209,7 +211,7 @@ class Batch:
             "control_points": self.arm.n_modules,
             "max_steps": self.max_steps,
             "tolerance": self.tolerance,
-            "moved": [None if each.moved is None else each.moved._asdict() for each in self.targets],
+            "moved": [None if target.moved is None else target.moved._asdict() for target in self.targets],
             "runs": runs,
         }
 
@@ -225,7 +227,7 @@ class Batch:
             f"largest {error_text(float(self.mean_error.max()), self.arm.length)}",
             "paths": f"{_spread(self.path_length_ratio, '.3g')} times as long as straight ones",
         }
-        moved = [each.moved for each in self.targets if each.moved]
+        moved = [target.moved for target in self.targets if target.moved]
         far = max(moved, key=attrgetter("distance"), default=None)
         if far is not None:
             words["curve"] = f"{far} to the base of the arm" + (" at most" if len(self.targets) > 1 else "")
@@ -376,7 +378,7 @@ def track_many(
         max_steps=int(most),
         tolerance=float(tolerance),
         motions=tuple(motions) if keep == "motions" else None,
-        **{name: np.array([each[name] for each in ends]) for name in ends[0]},
+        **{name: np.array([end[name] for end in ends]) for name in ends[0]},
     )
     failed = np.flatnonzero(batch.status == FAILED)
     if len(failed):

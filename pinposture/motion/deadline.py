@@ -124,7 +124,7 @@ class PlannedStep:
         before = getattr(self, "_controller", None)
         self._controller = cast(Geodesic, controller)
         self._prompt = PromptGeodesic(
-            **{each.name: getattr(controller, each.name) for each in fields(Geodesic)}
+            **{item.name: getattr(controller, item.name) for item in fields(Geodesic)}
         )
         new = self._controller
         # Plans do not use the offset.
@@ -171,7 +171,7 @@ class PlannedStep:
         The plan after it is not interrupted: an arm whose target keeps jumping would never move.
         """
         if not (self._outdated or self._interrupted or target is planned):
-            one, other = (self._controller.objective(self._arm, each) for each in (planned, target))
+            one, other = (self._controller.objective(self._arm, aim) for aim in (planned, target))
             self._outdated = not is_small_change(one, other)
         return self._outdated
 

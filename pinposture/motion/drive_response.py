@@ -383,9 +383,9 @@ def fit_drives(series: Sequence[Series], loads: int = 0, free: Sequence[int] = (
         free: places of the parameters that are fitted; the others are zero. Empty: all.
     """
     problem = _Problem(series, loads, tuple(free) or tuple(range(COMPLIANCE + loads)))
-    found = [problem.solve(problem.begin(start)) for start in DRIVE_FIT.first_guesses]
-    best = min(found, key=lambda each: each[1])[0]
-    segments = np.unique(np.concatenate([each.segments for each in series]))
+    fits = [problem.solve(problem.begin(start)) for start in DRIVE_FIT.first_guesses]
+    best = min(fits, key=lambda fit: fit[1])[0]
+    segments = np.unique(np.concatenate([part.segments for part in series]))
     left_out = np.array([problem.solve(best, int(segment))[0] for segment in segments])
     explained, rest = problem.judge(segments, left_out)
     return Fit(best, left_out, explained, rest, _widening(series, best) if loads else 1.0)
@@ -402,18 +402,18 @@ def _widening(series: Sequence[Series], parameters: Array) -> float:
     total = np.zeros(0)
     span = 0.0
     pieces = 0
-    step = float(np.median(np.concatenate([np.diff(each.times) for each in series])))
+    step = float(np.median(np.concatenate([np.diff(part.times) for part in series])))
     if step <= 0.0:
         return 1.0
-    for each in series:
-        times = np.arange(each.times[0], each.times[-1], step)
-        off = np.interp(times, each.times, each.predict(parameters) - each.positions)
+    for part in series:
+        times = np.arange(part.times[0], part.times[-1], step)
+        off = np.interp(times, part.times, part.predict(parameters) - part.positions)
         spectrum = np.abs(np.fft.rfft(off, 2 * len(off))) ** 2
         correlated = np.fft.irfft(spectrum)[: len(off)]
         longer = max(len(total), len(correlated))
         total = np.pad(total, (0, longer - len(total))) + np.pad(correlated, (0, longer - len(correlated)))
-        span += float(each.times[-1] - each.times[0])
-        pieces += len(np.unique(each.segments))
+        span += float(part.times[-1] - part.times[0])
+        pieces += len(np.unique(part.segments))
     if not len(total) or total[0] <= 0.0:
         return 1.0
     low = np.flatnonzero(total < DRIVE_FIT.uncorrelated * total[0])
@@ -429,12 +429,12 @@ class _Problem:
         self._series = series
         self._free = np.array(free)
         self._size = COMPLIANCE + loads
-        self._segments = np.concatenate([each.segments for each in series])
-        self._measured = np.concatenate([each.positions for each in series])
-        span = max(float(np.ptp(each.sent)) for each in series)
-        moved = max(float(np.ptp(each.positions)) for each in series)
+        self._segments = np.concatenate([part.segments for part in series])
+        self._measured = np.concatenate([part.positions for part in series])
+        span = max(float(np.ptp(part.sent)) for part in series)
+        moved = max(float(np.ptp(part.positions)) for part in series)
         self._span = max(span, moved, 1e-9)
-        largest = np.array([[np.abs(row).max() for row in each.torques] for each in series]).max(axis=0)
+        largest = np.array([[np.abs(row).max() for row in part.torques] for part in series]).max(axis=0)
         compliances = self._span / np.where(largest > SMALLEST_NUMBER, largest, 1.0)
         scales = np.array([0.1, 0.02, 0.05 * self._span, *(0.05 * compliances)])[: self._size]
         settings = DRIVE_FIT
@@ -473,17 +473,17 @@ class _Problem:
         def slopes(values: Array) -> Array:
             at = residuals(values)
             columns = []
-            for place, step in enumerate(self._steps):
+            for number, step in enumerate(self._steps):
                 moved = values.copy()
-                moved[place] += step if values[place] + step < upper[place] else -step
-                columns.append((residuals(moved) - at) / (moved[place] - values[place]))
+                moved[number] += step if values[number] + step < upper[number] else -step
+                columns.append((residuals(moved) - at) / (moved[number] - values[number]))
             return np.column_stack(columns)
 
         inside = np.clip(begin[self._free], lower, upper)
-        found = least_squares(
+        fit = least_squares(
             residuals, inside, slopes, (lower, upper), x_scale=self._scales, xtol=1e-6, ftol=1e-7, max_nfev=60
         )
-        return parameters(found.x), float(found.cost)
+        return parameters(fit.x), float(fit.cost)
 
     def judge(self, segments: NDArray[np.int64], left_out: Array) -> tuple[float, float]:
         """Return the share of the variance that is explained where segments are left out, and the rest."""
@@ -491,16 +491,16 @@ class _Problem:
         for segment, parameters in zip(segments, left_out, strict=True):
             at = self._segments == segment
             off[at] = (self._predict(parameters) - self._measured)[at]
-        positions = [each.positions for each in self._series]
+        positions = [part.positions for part in self._series]
         return explained_share(positions, off), float(np.sqrt(np.mean(off**2)))
 
     def _predict(self, parameters: Array) -> Array:
-        return np.asarray(np.concatenate([each.predict(parameters) for each in self._series]))
+        return np.asarray(np.concatenate([part.predict(parameters) for part in self._series]))
 
 
 def explained_share(positions: Sequence[Array], off: Array) -> float:
     """Return the share of the variance of positions that is explained, given the deviations of all."""
-    variance = sum(float(np.sum((each - each.mean()) ** 2)) for each in positions)
+    variance = sum(float(np.sum((part - part.mean()) ** 2)) for part in positions)
     return 1.0 - float(off @ off) / max(variance, 1e-30)
 
 
@@ -520,13 +520,13 @@ def fit_gain(series: Sequence[Series], delay: float) -> tuple[tuple[float, float
     errors: list[Array] = []
     efforts: list[Array] = []
     segments: list[NDArray[np.int64]] = []
-    for each in series:
-        known = np.isfinite(each.effort)
+    for part in series:
+        known = np.isfinite(part.effort)
         if np.any(known):
-            error = each.errors(delay)[known]
+            error = part.errors(delay)[known]
             errors.append(error - error.mean())
-            efforts.append(each.effort[known] - each.effort[known].mean())
-            segments.append(each.segments[known])
+            efforts.append(part.effort[known] - part.effort[known].mean())
+            segments.append(part.segments[known])
     if not errors:
         return None, 0.0
     x = np.concatenate(errors)

@@ -578,13 +578,13 @@ class Feedback:
             except InvalidValue as error:
                 return None, str(error)
         if counts_turns(arm, q):
-            given = float_array("q_measured", q, (arm.nv,))
+            checked = float_array("q_measured", q, (arm.nv,))
         else:
-            given = arm.of_right_size(q, "q_measured")
-        if not np.all(np.isfinite(given)):
-            return None, f"q_measured[{int(np.argmin(np.isfinite(given)))}] is not finite"
+            checked = arm.of_right_size(q, "q_measured")
+        if not np.all(np.isfinite(checked)):
+            return None, f"q_measured[{int(np.argmin(np.isfinite(checked)))}] is not finite"
         try:
-            return read_measurement(arm, given), ""
+            return read_measurement(arm, checked), ""
         except InvalidValue as error:
             return None, str(error)
 

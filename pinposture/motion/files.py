@@ -70,8 +70,8 @@ def pack(result: Any, prefix: str = "", without: Collection[str] = ()) -> tuple[
             arrays |= {f"{prefix}{name}_{key}": column for key, column in value.items()}
         elif hasattr(value, "to_dict"):
             about[name] = value.to_dict()
-        elif isinstance(value, tuple) and any(isinstance(each, Declared) for each in value):
-            about[name] = [as_plain(each) for each in value]
+        elif isinstance(value, tuple) and any(isinstance(entry, Declared) for entry in value):
+            about[name] = [as_plain(entry) for entry in value]
         elif not is_dataclass(value):
             about[name] = value
         elif _has_arrays(type(value)):
@@ -95,7 +95,9 @@ def unpack(
     values: dict[str, Any] = {}
     for name, kinds in _fields(kind).items():
         stored = f"{prefix}{name}"
-        part = next((each for each in kinds if hasattr(each, "from_dict") or is_dataclass(each)), None)
+        part = next(
+            (option for option in kinds if hasattr(option, "from_dict") or is_dataclass(option)), None
+        )
         if name in without:
             continue
         if part is not None and name in about and about[name] is None:
@@ -106,7 +108,7 @@ def unpack(
         elif get_origin(kinds[0]) is Mapping:
             start = f"{stored}_"
             values[name] = {
-                key.removeprefix(start): each for key, each in arrays.items() if key.startswith(start)
+                key.removeprefix(start): array for key, array in arrays.items() if key.startswith(start)
             }
         elif part is None:
             if name in about:
@@ -127,15 +129,15 @@ _hints = cache(get_type_hints)
 def _fields(kind: type) -> dict[str, tuple[Any, ...]]:
     """Return the types that each field of a class may have."""
     hints = _hints(kind)
-    found = {}
-    for each in fields(cast(Any, kind)):
-        hint = hints[each.name]
-        found[each.name] = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    return found
+    values = {}
+    for item in fields(cast(Any, kind)):
+        hint = hints[item.name]
+        values[item.name] = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return values
 
 
 def _is_array(kinds: tuple[Any, ...]) -> bool:
-    return any(get_origin(each) is np.ndarray for each in kinds)
+    return any(get_origin(option) is np.ndarray for option in kinds)
 
 
 def _has_arrays(kind: type) -> bool:
@@ -250,7 +252,7 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         InvalidValue: another class.
     """
     path = Path(path)
-    wanted = None if kind is None else _format_of(kind, "kind", kind)
+    expected = None if kind is None else _format_of(kind, "kind", kind)
     suffix = check_format(path) if kind is JointTrajectory else path.suffix.lower()
     if kind in (None, JointTrajectory) and suffix in _TEXT_FILES:
         return _TEXT_FILES[suffix][1](path)
@@ -258,23 +260,23 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         raise FileError(path, "is a directory; name a file in it" if path.is_dir() else "no such file")
     if suffix in _NOT_READ:
         raise FileError(path, _NOT_READ[suffix])
-    if wanted is not None and suffix in _TEXT_FILES:
+    if expected is not None and suffix in _TEXT_FILES:
         advice = "`pp.load(path)` reads joint trajectories, `pinposture simulate` performs them"
-        raise FileError(path, f"is not a saved {wanted.noun}; {advice}")
+        raise FileError(path, f"is not a saved {expected.noun}; {advice}")
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(str(arrays["about"]))
-        found = about["format"]
+        format_name = about["format"]
         version = about["version"]
-        wanted = _format_named(found) if wanted is None else wanted
-        if wanted is None or (found, version) != (wanted.name, wanted.version):
-            known = ARCHIVES.values() if wanted is None else (wanted,)
+        expected = _format_named(format_name) if expected is None else expected
+        if expected is None or (format_name, version) != (expected.name, expected.version):
+            known = ARCHIVES.values() if expected is None else (expected,)
             allowed = ", ".join(f"{form.name!r} version {form.version}" for form in known)
-            text = f"format {found!r} version {version}; allowed: {allowed}"
-            raise FileError(path, text if wanted is None else wanted.advice.get(found, text))
-        result = wanted.kind(**wanted.unpack(wanted.kind, about, arrays))
-        wanted.check(result)
+            text = f"format {format_name!r} version {version}; allowed: {allowed}"
+            raise FileError(path, text if expected is None else expected.advice.get(format_name, text))
+        result = expected.kind(**expected.unpack(expected.kind, about, arrays))
+        expected.check(result)
         return result
     except FileError:
         raise
@@ -282,7 +284,7 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         detail = f"{type(error).__name__}: {error}"
         if isinstance(error, ValueError) and "pickle" in str(error):  # numpy advises to allow pickles
             detail = "ValueError" if is_zipfile(path) else "it is no .npz archive"
-        noun = "result" if wanted is None else wanted.noun
+        noun = "result" if expected is None else expected.noun
         raise FileError(path, f"is not a saved {noun} ({detail})") from error
 
 
@@ -311,7 +313,7 @@ def _format_of(kind: type, name: str, value: object) -> Format:
         if form.kind is kind:
             return form
     names = [form.kind.__name__ for form in ARCHIVES.values()]
-    names += [each for each in ("Simulation", "Grip") if each not in names]
+    names += [name for name in ("Simulation", "Grip") if name not in names]
     hint = "; curves, scenes and tasks have their own `save` and `load`"
     raise InvalidValue(name, value, f"{', '.join(names[:-1])} or {names[-1]}{hint}")
 
@@ -388,9 +390,9 @@ def _check_run(run: Run) -> None:
     check_arrays(vars(run.target), {"points": (m, 3), "weights": (m,)})
     check_postures(arm, vars(run))
     require_finite("point_errors", run.point_errors)
-    for each in run.held:
-        if not each.begin < each.end <= len(run.q):
-            raise InvalidValue("held", each, f"rows up to {len(run.q)}, in order")
+    for part in run.held:
+        if not part.begin < part.end <= len(run.q):
+            raise InvalidValue("held", part, f"rows up to {len(run.q)}, in order")
     require_known("status", run.status, ENDINGS)
 
 
@@ -398,8 +400,8 @@ def _check_info(info: Mapping[str, NDArray[Any]], steps: int) -> None:
     """Raise InvalidValue unless each array of `Run.info` has a row of numbers or texts per step."""
     for name, column in info.items():
         if column.shape[:1] != (steps,) or column.dtype.kind not in "biufU":
-            found = f"{column.dtype} {column.shape}"
-            raise InvalidValue(f"info_{name}", found, f"{steps} rows of numbers or texts")
+            shape = f"{column.dtype} {column.shape}"
+            raise InvalidValue(f"info_{name}", shape, f"{steps} rows of numbers or texts")
 
 
 # Motions.

@@ -47,18 +47,18 @@ class HeldObject(Declared):
 
 def joined(held: Sequence[HeldObject]) -> tuple[HeldObject, ...]:
     """Return holds of a motion with those as one in which a frame keeps an obstacle, beside whatever."""
-    found: list[HeldObject] = []
-    for each in held:
-        before = found[-1] if found else None
+    parts: list[HeldObject] = []
+    for part in held:
+        before = parts[-1] if parts else None
         if before is not None and (before.obstacle, before.frame, before.end) == (
-            each.obstacle,
-            each.frame,
-            each.begin,
+            part.obstacle,
+            part.frame,
+            part.begin,
         ):
-            found[-1] = replace(before, end=each.end)
+            parts[-1] = replace(before, end=part.end)
         else:
-            found.append(each)
-    return tuple(found)
+            parts.append(part)
+    return tuple(parts)
 
 
 class HeldStage(NamedTuple):
@@ -98,26 +98,26 @@ class Stages:
     ) -> None:
         self._arm = arm
         stages = [HeldStage(0, {}, {})]
-        for each in held:
-            taken = frame_pose(arm, configuration(each.begin), each.frame)
-            left = frame_pose(arm, configuration(min(each.end, rows - 1)), each.frame)
+        for part in held:
+            taken = frame_pose(arm, configuration(part.begin), part.frame)
+            left = frame_pose(arm, configuration(min(part.end, rows - 1)), part.frame)
             before = stages[-1].moved
-            carried = Carried(each.frame, taken.translation, taken.rotation, each.beside)
-            stages.append(HeldStage(each.begin, before, {each.obstacle: carried}))
-            moved = left * taken.inverse() * before.get(each.obstacle, pin.SE3.Identity())
-            stages.append(HeldStage(each.end, {**before, each.obstacle: moved}, {}))
+            carried = Carried(part.frame, taken.translation, taken.rotation, part.beside)
+            stages.append(HeldStage(part.begin, before, {part.obstacle: carried}))
+            moved = left * taken.inverse() * before.get(part.obstacle, pin.SE3.Identity())
+            stages.append(HeldStage(part.end, {**before, part.obstacle: moved}, {}))
         self._stages = stages
-        self._rows = [each.row for each in stages]
+        self._rows = [stage.row for stage in stages]
         self._scenes: dict[tuple[int, Scene], Scene] = {}
 
     def motion(self, row: int, q: Array) -> dict[str, pin.SE3]:
         """Return displacements of obstacles since the start, by name, in a row, at a configuration (nq,)."""
         stage = self._stages[self.number(row)]
-        found = dict(stage.moved)
+        poses = dict(stage.moved)
         for name, carried in stage.carried.items():
-            before = found.get(name, pin.SE3.Identity())
-            found[name] = frame_pose(self._arm, q, carried.frame) * carried.placement.inverse() * before
-        return found
+            before = poses.get(name, pin.SE3.Identity())
+            poses[name] = frame_pose(self._arm, q, carried.frame) * carried.placement.inverse() * before
+        return poses
 
     def number(self, row: float) -> int:
         """Return the number of the stage in which a row is, or a place between rows."""
@@ -149,13 +149,13 @@ def obstacle_motions(
         Displacements from where the scene describes each, world frame.
     """
     stages = Stages(arm, held, lambda row: q[row], len(q))
-    names = {each.obstacle for each in held} | scene.carried.keys()
-    found: dict[str, list[pin.SE3]] = {name: [] for name in names & scene.obstacles.keys()}
+    names = {part.obstacle for part in held} | scene.carried.keys()
+    poses: dict[str, list[pin.SE3]] = {name: [] for name in names & scene.obstacles.keys()}
     for row in rows:
         moved = stages.motion(row, q[row])
-        for name, motions in found.items():
+        for name, motions in poses.items():
             carried = scene.carried.get(name)
             if carried is not None:
                 moved[name] = frame_pose(arm, q[row], carried.frame) * carried.placement.inverse()
             motions.append(moved.get(name, pin.SE3.Identity()))
-    return found
+    return poses

@@ -170,8 +170,11 @@ class DriveEstimate(NamedTuple):
 
     def as_data(self) -> dict[str, Any]:
         """Return it as data for JSON."""
-        found = self._asdict()
-        return {name: each._asdict() if isinstance(each, Estimate) else each for name, each in found.items()}
+        estimates = self._asdict()
+        return {
+            name: value._asdict() if isinstance(value, Estimate) else value
+            for name, value in estimates.items()
+        }
 
 
 class Prediction(NamedTuple):
@@ -194,10 +197,10 @@ def _predicted(series: Sequence[Series], parameters: Sequence[float]) -> Predict
     """Return what a model with some parameters predicts for a joint."""
     values = np.array(parameters)
     return Prediction(
-        np.concatenate([each.times for each in series]),
-        np.concatenate([each.positions + each.errors(0.0) for each in series]),
-        np.concatenate([each.positions for each in series]),
-        np.concatenate([each.predict(values) for each in series]),
+        np.concatenate([part.times for part in series]),
+        np.concatenate([part.positions + part.errors(0.0) for part in series]),
+        np.concatenate([part.positions for part in series]),
+        np.concatenate([part.predict(values) for part in series]),
     )
 
 
@@ -286,7 +289,7 @@ class Identification:
         positions = _positions_in(arm, log, columns)
         effort = np.asarray(log.effort)
         chosen = [columns[name] for name in arm.joint_names]
-        torques = np.column_stack([each.ratio * effort[:, each.place] for each in chosen])
+        torques = np.column_stack([column.ratio * effort[:, column.place] for column in chosen])
         usable = np.all(np.isfinite(positions) & np.isfinite(torques), axis=1)
         detector = TouchDetector(arm, Touch(LARGEST_NUMBER, time_constant=time_constant))
         felt = np.zeros(arm.nv)
@@ -332,11 +335,11 @@ class Identification:
         Raises:
             InvalidValue: the model is not identified, a log of another arm, or one in which no joint moved.
         """
-        found = self.predict(log).values()
-        if not found:
+        predictions = self.predict(log).values()
+        if not predictions:
             raise InvalidValue("log", log, "a log in which a joint of the arm moved")
-        off = np.concatenate([each.measured - each.predicted for each in found])
-        return explained_share([each.measured for each in found], off)
+        off = np.concatenate([prediction.measured - prediction.predicted for prediction in predictions])
+        return explained_share([prediction.measured for prediction in predictions], off)
 
     def summary(self) -> dict[str, Any]:
         """Return it as JSON-compatible data."""
@@ -348,7 +351,7 @@ class Identification:
             "commands": self.sent._asdict(),
             "noise": dict(self.noise),
             "drives": self.drives.as_data(),
-            "joints": {name: each.as_data() for name, each in self.joints.items()},
+            "joints": {name: joint.as_data() for name, joint in self.joints.items()},
             "payload": None if self.payload is None else self.payload._asdict(),
             "unit": self.unit,
             "units": dict(self._units),
@@ -357,9 +360,9 @@ class Identification:
 
     def __repr__(self) -> str:
         drives = self.drives
-        found = {**drives._asdict(), "payload": self.payload}
-        known = {name: found[name.replace(" ", "_")] for name in self._units}
-        parts = [f"{name} {each} {self._units[name]}" for name, each in known.items() if each is not None]
+        estimates = {**drives._asdict(), "payload": self.payload}
+        known = {name: estimates[name.replace(" ", "_")] for name in self._units}
+        parts = [f"{name} {value} {self._units[name]}" for name, value in known.items() if value is not None]
         if drives.explained is not None:
             parts.append(f"{drives.explained:.0%} of the variance explained")
         if self.not_identified:
@@ -436,11 +439,11 @@ def identify(arm: Arm, log: Log | Sequence[Log]) -> Identification:
     drives, of_efforts = _with_efforts(drives, [part for name in shared for part in tables.series[name]])
     names = [name for name in arm.joint_names if name not in tables.reasons]
     loads = 0 if why else 1 if known is not None else 2
-    each = _fit_each(tables, names, drives, loads)
+    fits = _fit_each(tables, names, drives, loads)
     reasons = {**told, **of_efforts, **tables.reasons}
-    for name, (_, missing) in each.items():
+    for name, (_, missing) in fits.items():
         reasons |= {f"{name}: {what}": text for what, text in missing.items()}
-    joints = {name: found for name, (found, _) in each.items()}
+    joints = {name: estimate for name, (estimate, _) in fits.items()}
     return Identification(
         arm, tuple(logs), tables.measured, tables.sent, tables.noise, drives, joints, payload, reasons
     )
@@ -479,7 +482,7 @@ def _columns_of(arm: Arm, log: Log, reasons: dict[str, str]) -> dict[str, _Colum
             given[name] = _Column(names.index(name), 1.0, 0.0, not slides)
     if not given:
         raise InvalidValue("log", names, f"joints of the arm, such as {', '.join(arm.joint_names[:3])}")
-    known = {*arm.joint_names, *arm.drives.names, *(each.joint for each in arm.couplings)}
+    known = {*arm.joint_names, *arm.drives.names, *(coupling.joint for coupling in arm.couplings)}
     for name in names:
         if name not in known:
             reasons[name] = "it is no joint of the arm"
@@ -513,11 +516,11 @@ def _read_tables(arm: Arm, logs: tuple[Log, ...], loads: bool = False) -> _Table
             effort = unknown if log.effort is None else column.ratio * log.effort[:, column.place]
             parts = _series_of(log, commands, np.array([positions, effort]), fresh, segments)
             if torques is not None:
-                parts = [each._replace(torques=torques.at(each.times, number)) for each in parts]
+                parts = [part._replace(torques=torques.at(part.times, number)) for part in parts]
             series[name] += parts
-    for name, each in series.items():
-        count = sum(len(part.times) for part in each)
-        where = {int(segment) for part in each for segment in np.unique(part.segments)}
+    for name, of_joint in series.items():
+        count = sum(len(part.times) for part in of_joint)
+        where = {int(segment) for part in of_joint for segment in np.unique(part.segments)}
         rows = IDENTIFICATION.fewest_rows
         tenths = DRIVE_FIT.fewest_segments
         if name not in reasons and (count < rows or len(where) < tenths):
@@ -526,8 +529,8 @@ def _read_tables(arm: Arm, logs: tuple[Log, ...], loads: bool = False) -> _Table
                 f"{count} measurements beside commands, in {len(where)} tenths of the log; {least}"
             )
         if name in reasons:
-            each.clear()
-    noise = {name: float(np.median(each)) for name, each in deviations.items() if each}
+            of_joint.clear()
+    noise = {name: float(np.median(noises)) for name, noises in deviations.items() if noises}
     measured = _timing_of([(log.time, log.positions) for log in logs])
     sent = _timing_of([(log.command_time, log.commands) for log in logs])
     return _Tables(series, noise, measured, sent, reasons)
@@ -641,7 +644,7 @@ def _unknown_loads(arm: Arm, logs: Sequence[Log]) -> str:
     """Return why torques by the weight of the arm are not known; empty if they are."""
     for number, log in enumerate(logs, start=1):
         which = f" of log {number}" if len(logs) > 1 else ""
-        columns = [each.place for each in _columns_of(arm, log, {}).values()]
+        columns = [column.place for column in _columns_of(arm, log, {}).values()]
         whole = len(columns) == arm.nv and np.any(np.all(np.isfinite(log.positions[:, columns]), axis=1))
         reasons = {
             f"the arm touched something{which}, which may have held a part of its weight": log.in_contact,
@@ -675,7 +678,9 @@ class _Loads(NamedTuple):
 
     def at(self, times: Array, joint: int) -> Array:
         """Return both for a joint at times (m,), (2, m)."""
-        return np.array([np.interp(times, self.times, each[:, joint]) for each in (self.held, self.carried)])
+        return np.array(
+            [np.interp(times, self.times, torques[:, joint]) for torques in (self.held, self.carried)]
+        )
 
 
 def _loads_of(arm: Arm, log: Log, columns: Mapping[str, _Column]) -> _Loads:
@@ -714,12 +719,12 @@ def _shared_joints(arm: Arm, tables: _Tables) -> list[str]:
     """Return the joints that one set of parameters is for: those that turn, of those that moved; else all."""
     noise = tables.noise
     least = IDENTIFICATION.moved
-    moved = {name for name, each in tables.series.items() if _range(each) > least * noise.get(name, 0.0)}
+    moved = {name for name, parts in tables.series.items() if _range(parts) > least * noise.get(name, 0.0)}
     for slides in (False, True):
         kind = zip(arm.joint_names, arm.in_metres, strict=True)
-        found = [name for name, slide in kind if name in moved and slide == slides]
-        if found:
-            return found
+        names = [name for name, slide in kind if name in moved and slide == slides]
+        if names:
+            return names
     return []
 
 
@@ -727,7 +732,7 @@ def _range(series: Sequence[Series]) -> float:
     """Return the range of the measured positions of a joint [rad or m]."""
     if not series:
         return 0.0
-    return float(np.ptp(np.concatenate([each.positions for each in series])))
+    return float(np.ptp(np.concatenate([part.positions for part in series])))
 
 
 def _judge(fit: Fit, span: float) -> tuple[DriveEstimate, dict[str, str]]:
@@ -759,13 +764,13 @@ def _judge(fit: Fit, span: float) -> tuple[DriveEstimate, dict[str, str]]:
             reasons["delay"] = f"{interval}: the clocks of commands and measurements differ"
         if friction.half > max(IDENTIFICATION.wide * friction.value, IDENTIFICATION.wide_friction * span):
             reasons["friction"] = f"its interval is {friction.lower:.2g} to {friction.upper:.2g}"
-    found = {name: None if name in reasons else each for name, each in known.items()}
+    found = {name: None if name in reasons else value for name, value in known.items()}
     return DriveEstimate(**found, explained=fit.explained, rest=fit.rest), reasons
 
 
 def _clipped(estimate: Estimate) -> Estimate:
     """Return an estimate of what cannot be negative."""
-    return Estimate(*(max(each, 0.0) for each in estimate))
+    return Estimate(*(max(value, 0.0) for value in estimate))
 
 
 def _without_delay(
@@ -777,7 +782,7 @@ def _without_delay(
         "delay" not in reasons and fit.values[DELAY] >= 0.0
     ):
         return fit, drives, reasons
-    free = [place for place in range(COMPLIANCE + loads) if place != DELAY]
+    free = [k for k in range(COMPLIANCE + loads) if k != DELAY]
     again = fit_drives(series, loads, free)
     told, others = _judge(again, span)
     others |= {name: why for name, why in reasons.items() if name == "delay"}
@@ -816,7 +821,7 @@ def _fit_all(
     if not shared:
         missing = dict.fromkeys(("lag", "delay", "friction", *weighed), "no joint moved")
         return DriveEstimate(), None, missing
-    series = [each for name in shared for each in tables.series[name]]
+    series = [part for name in shared for part in tables.series[name]]
     span = max(_range(tables.series[name]) for name in shared)
     if why:
         _, drives, reasons = _fit_series(series, span)
@@ -830,7 +835,7 @@ def _fit_all(
         return drives, None, {**reasons, "stiffness": untold + unknown}
     if known is not None:
         return drives, None, reasons
-    payload, untold = _payload(fit, float(sum(each.mass for each in arm.model.inertias)))
+    payload, untold = _payload(fit, float(sum(inertia.mass for inertia in arm.model.inertias)))
     return drives, payload, {**reasons, "payload": untold} if untold else reasons
 
 
@@ -845,14 +850,14 @@ def _payload(fit: Fit, mass: float) -> tuple[Estimate | None, str]:
 def _with_efforts(drive: DriveEstimate, series: Sequence[Series]) -> tuple[DriveEstimate, dict[str, str]]:
     """Add what efforts tell of drives: the gain, and the friction as a torque; and why they do not."""
     delay = 0.0 if drive.delay is None else drive.delay.value
-    found, explained = fit_gain(series, delay)
-    if found is None:
+    gain_fit, explained = fit_gain(series, delay)
+    if gain_fit is None:
         reasons = {"gain": "the log has no efforts that change"}
-    elif explained < IDENTIFICATION.least_explained or found[1] <= 0.0:
+    elif explained < IDENTIFICATION.least_explained or gain_fit[1] <= 0.0:
         reasons = {"gain": f"errors explain {max(explained, 0.0):.0%} of the variance of efforts"}
     else:
         reasons = {}
-        drive = drive._replace(gain=Estimate(*found))
+        drive = drive._replace(gain=Estimate(*gain_fit))
     per_angle = drive.gain or drive.stiffness
     if drive.friction is None or per_angle is None:
         missing = "the friction is not" if drive.friction is None else "neither gain nor stiffness are"
@@ -875,7 +880,7 @@ def _fit_each(
         loads: as for `fit_drives`. With an unknown payload, no stiffness of a joint is told.
     """
     band = 0.0 if shared.friction is None else 2.0 * shared.friction.value
-    found: dict[str, tuple[DriveEstimate, dict[str, str]]] = {}
+    fits: dict[str, tuple[DriveEstimate, dict[str, str]]] = {}
     for name in names:
         series = tables.series[name]
         span = _range(series)
@@ -883,7 +888,7 @@ def _fit_each(
         if span <= max(noise, band):
             explained = f"friction either way, {band:.2g}" if band > noise else f"noise, {noise:.2g}"
             text = f"it moved by {span:.2g}, not by more than {explained}"
-            found[name] = DriveEstimate(), {"drive": text}
+            fits[name] = DriveEstimate(), {"drive": text}
             continue
         fit, drive, reasons = _fit_series(series, span, loads)
         if loads == 1:
@@ -891,7 +896,7 @@ def _fit_each(
             drive = drive._replace(stiffness=stiffness)
             reasons |= {"stiffness": reason} if reason else {}
         drive, of_efforts = _with_efforts(drive, series)
-        if any(np.any(np.isfinite(each.effort)) for each in series):
+        if any(np.any(np.isfinite(part.effort)) for part in series):
             reasons |= of_efforts
-        found[name] = drive, reasons
-    return found
+        fits[name] = drive, reasons
+    return fits

@@ -256,11 +256,11 @@ def read_columns(path: Path, kind: str, joint_names: Sequence[str] = ()) -> Colu
                 path, f"line {line}: {len(fields)} columns; allowed: {len(named)}, as in line {number}"
             )
         for k, field in enumerate(fields):
-            found = nan if k in texts else _as_number(field)
-            if found is None:
+            value_read = nan if k in texts else _as_number(field)
+            if value_read is None:
                 where = f"line {line}, column {k + 1} ({named[k]})"
                 raise FileError(path, f"{where}: {field!r}; allowed: numbers, or nothing")
-            table[row, k] = found
+            table[row, k] = value_read
     if titled:
         return _titled_columns(path, named, table, kind)
     return _untitled_columns(path, table, kind, joint_names)
@@ -288,8 +288,8 @@ def _titled_columns(path: Path, headings: Sequence[str], table: Array, usual: st
                 raise FileError(path, f"{where}: unit {clock[2]!r}; allowed: s, ms, us, ns")
             clocks.setdefault(clock[1].lower(), _TIME_UNITS[clock[2]] * table[:, k])
             continue
-        found = _COLUMN.fullmatch(heading)
-        joint, said, unit = found.groups() if found is not None else _plain(heading)
+        match = _COLUMN.fullmatch(heading)
+        joint, said, unit = match.groups() if match is not None else _plain(heading)
         if said in _IGNORED:
             continue
         kind = usual if said in (None, "position") else said
@@ -309,14 +309,14 @@ def _titled_columns(path: Path, headings: Sequence[str], table: Array, usual: st
 
 def _plain(heading: str) -> tuple[str, None, str | None]:
     """Return the joint that a heading names alone, and its unit."""
-    found = _PLAIN.fullmatch(heading)
-    return (heading, None, None) if found is None else (found[1], None, found[2])
+    match = _PLAIN.fullmatch(heading)
+    return (heading, None, None) if match is None else (match[1], None, match[2])
 
 
 def _clock(path: Path, clocks: dict[str, Array]) -> Array:
     """Return times from the columns that tell them."""
-    seconds = next((clocks[each] for each in ("sec", "secs") if each in clocks), None)
-    rest = next((clocks[each] for each in ("nanosec", "nsec", "nsecs") if each in clocks), None)
+    seconds = next((clocks[name] for name in ("sec", "secs") if name in clocks), None)
+    rest = next((clocks[name] for name in ("nanosec", "nsec", "nsecs") if name in clocks), None)
     if seconds is not None:
         return seconds if rest is None else np.column_stack([seconds, rest])
     for name in ("time", "timestamp", "stamp", "t"):

@@ -67,8 +67,8 @@ def _themselves(arm: Arm) -> list[Drive]:
 
 def _followers(arm: Arm) -> list[Drive]:
     """Return the coupled joints of an arm."""
-    turns = joint_axes(arm.model, [arm.model.getJointId(each.joint) for each in arm.couplings])[1]
-    return [Drive(*each, bool(turn)) for each, turn in zip(arm.couplings, turns, strict=True)]
+    turns = joint_axes(arm.model, [arm.model.getJointId(coupling.joint) for coupling in arm.couplings])[1]
+    return [Drive(*coupling, bool(turn)) for coupling, turn in zip(arm.couplings, turns, strict=True)]
 
 
 def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
@@ -268,8 +268,8 @@ def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: A
     first = span[..., None] * velocities[before] - way
     second = span[..., None] * velocities[after] - way
     bend = share * (1.0 - share) * ((1.0 - share) * first - share * second)
-    found: Array = np.where(share < 1.0, start + share * way + bend, positions[after])
-    return found
+    positions_there: Array = np.where(share < 1.0, start + share * way + bend, positions[after])
+    return positions_there
 
 
 # The joint trajectory.
@@ -379,10 +379,10 @@ class JointTrajectory:
         require_instance("motions", motions, Sequence, "a list of joint trajectories")
         if not motions:
             raise InvalidValue("motions", motions, "at least one joint trajectory")
-        for k, each in enumerate(motions):
-            require_instance(f"motions[{k}]", each, JointTrajectory, "a JointTrajectory")
-            if each.joint_names != motions[0].joint_names:
-                raise InvalidValue(f"motions[{k}] (joints)", each.joint_names, f"{motions[0].joint_names}")
+        for k, part in enumerate(motions):
+            require_instance(f"motions[{k}]", part, JointTrajectory, "a JointTrajectory")
+            if part.joint_names != motions[0].joint_names:
+                raise InvalidValue(f"motions[{k}] (joints)", part.joint_names, f"{motions[0].joint_names}")
         times = [motions[0].time]
         for k, (before, after) in enumerate(pairwise(motions), start=1):
             jump = float(np.abs(after.positions[0] - before.positions[-1]).max())
@@ -394,9 +394,9 @@ class JointTrajectory:
         return replace(
             motions[0],
             time=np.concatenate(times),
-            positions=np.vstack([each.positions for each in motions]),
-            velocities=np.vstack([each.velocities for each in motions]),
-            accelerations=np.vstack([each.accelerations for each in motions]),
+            positions=np.vstack([part.positions for part in motions]),
+            velocities=np.vstack([part.velocities for part in motions]),
+            accelerations=np.vstack([part.accelerations for part in motions]),
         )
 
     @property
@@ -435,7 +435,7 @@ class JointTrajectory:
         led = self.matched(arm)
         driven = led.driven(arm)
         every = [*_themselves(arm), *_followers(arm)]
-        coupled = [each for each in every if each.joint not in driven.joint_names]
+        coupled = [drive for drive in every if drive.joint not in driven.joint_names]
         if not coupled:
             return driven
         added = led._followed(coupled)
@@ -467,11 +467,13 @@ class JointTrajectory:
                 violates its coupling.
         """
         require_instance("arm", arm, Arm, "an Arm")
-        own = _themselves(arm)
-        pairs = zip(own, arm.drives, strict=True)
+        themselves = _themselves(arm)
+        pairs = zip(themselves, arm.drives, strict=True)
         given = [joint if joint.joint in self.joint_names else drive for joint, drive in pairs]
-        names = [each.joint for each in given]
-        followers = {each.joint: each for each in (*_followers(arm), *arm.drives) if each.joint not in names}
+        names = [drive.joint for drive in given]
+        followers = {
+            drive.joint: drive for drive in (*_followers(arm), *arm.drives) if drive.joint not in names
+        }
         check_same_joints([name for name in self.joint_names if name not in followers], names)
         for each in given:
             unit = self.units[self.joint_names.index(each.joint)]
@@ -482,7 +484,7 @@ class JointTrajectory:
         matched = self._followed(
             [
                 Drive(joint.joint, each.joint, 1.0 / each.ratio, -each.offset / each.ratio, joint.turns)
-                for joint, each in zip(own, given, strict=True)
+                for joint, each in zip(themselves, given, strict=True)
             ]
         )
         for number, name in enumerate(self.joint_names):
@@ -496,16 +498,16 @@ class JointTrajectory:
 
     def _followed(self, joints: Sequence[Drive]) -> JointTrajectory:
         """Return the trajectory of joints that follow those of this one."""
-        leaders = [self.joint_names.index(each.leader) for each in joints]
-        ratios = np.array([each.ratio for each in joints])
-        offsets = np.array([each.offset for each in joints])
+        leaders = [self.joint_names.index(joint.leader) for joint in joints]
+        ratios = np.array([joint.ratio for joint in joints])
+        offsets = np.array([joint.offset for joint in joints])
         return replace(
             self,
-            joint_names=tuple(each.joint for each in joints),
+            joint_names=tuple(joint.joint for joint in joints),
             positions=np.take(self.positions, leaders, axis=1) * ratios + offsets,
             velocities=np.take(self.velocities, leaders, axis=1) * ratios,
             accelerations=np.take(self.accelerations, leaders, axis=1) * ratios,
-            units=tuple(RADIAN if each.turns else METRE for each in joints),
+            units=tuple(RADIAN if joint.turns else METRE for joint in joints),
         )
 
     def starting_at(self, arm: Arm, positions: ArrayLike | Mapping[str, float]) -> JointTrajectory:
@@ -523,18 +525,18 @@ class JointTrajectory:
                 turns; or the joints are not those of the arm.
         """
         matched = self.matched(arm)
-        given = arm.drives.joint_positions(positions)
-        if given.ndim != 1:
-            raise InvalidValue("positions (shape)", given.shape, f"({arm.nv},), or positions by name")
+        checked = arm.drives.joint_positions(positions)
+        if checked.ndim != 1:
+            raise InvalidValue("positions (shape)", checked.shape, f"({arm.nv},), or positions by name")
         first = matched.positions[0]
-        turns = np.where(arm.kinematics.endless, np.rint((given - first) / FULL_TURN), 0.0)
-        off = np.where(arm.kinematics.endless, np.abs(given - first - FULL_TURN * turns), 0.0)
+        turns = np.where(arm.kinematics.endless, np.rint((checked - first) / FULL_TURN), 0.0)
+        off = np.where(arm.kinematics.endless, np.abs(checked - first - FULL_TURN * turns), 0.0)
         joint = int(off.argmax())
         if off[joint] > START_TOLERANCE:
             allowed = (
                 f"{first[joint]:.4g} rad to within {START_TOLERANCE:g} rad, plus full turns: move there first"
             )
-            raise InvalidValue(f"positions[{joint}]", float(given[joint]), allowed)
+            raise InvalidValue(f"positions[{joint}]", float(checked[joint]), allowed)
         return replace(matched, positions=matched.positions + FULL_TURN * turns).driven(arm)
 
     def configurations(self, arm: Arm) -> Array:

@@ -116,8 +116,8 @@ class Log:
         begin = float(np.nanmin(self.time))
         end = float(np.nanmax(self.command_time))
         if last <= first or begin > end + OVERLAP:
-            found = f"{begin:.6g} to {last:.6g} s, and commands {first:.6g} to {end:.6g} s"
-            raise InvalidValue("time", found, "measurements and commands at the same time, on one clock")
+            spans = f"{begin:.6g} to {last:.6g} s, and commands {first:.6g} to {end:.6g} s"
+            raise InvalidValue("time", spans, "measurements and commands at the same time, on one clock")
 
     @classmethod
     def read(
@@ -159,16 +159,16 @@ class Log:
             sent = measured if commands is None else read_columns(Path(commands), "command", joint_names)
         names = [name for name in measured.names if name in sent.names]
         told = sent.table("command", names)
-        found = measured.table("position", names)
-        if told is None or found is None:
+        table = measured.table("position", names)
+        if told is None or table is None:
             kind = "commands" if told is None else "positions"
             raise FileError(path, f"has no {kind} of joints; see `Log.read` for what tables look like")
         degrees = {measured.degrees, sent.degrees}
         if degrees == {True, False}:
             raise FileError(path, "has positions in degrees and commands in radians, or the reverse")
-        given = {"degrees": degrees == {True}, **about}
+        options = {"degrees": degrees == {True}, **about}
         named = () if measured.anonymous and not joint_names else tuple(names)
-        return cls(sent.time, told, measured.time, found, named, measured.table("effort", names), **given)
+        return cls(sent.time, told, measured.time, table, named, measured.table("effort", names), **options)
 
     def __repr__(self) -> str:
         span = float(np.nanmax(self.time) - np.nanmin(self.time))
@@ -198,19 +198,19 @@ def _table(name: str, values: ArrayLike, columns: int | None = None, rows: int |
     return table
 
 
-def _read_times(name: str, given: Times, rows: int) -> Clock:
+def _read_times(name: str, clock: Times, rows: int) -> Clock:
     """Return the times of rows; NaN where they are missing."""
-    if isinstance(given, Real):
-        require_positive(name, given if isinstance(given, bool) else float(given))
-        return Clock(np.zeros(rows), float(given) * np.arange(rows))
+    if isinstance(clock, Real):
+        require_positive(name, clock if isinstance(clock, bool) else float(clock))
+        return Clock(np.zeros(rows), float(clock) * np.arange(rows))
     words = f"seconds ({rows},), seconds and nanoseconds ({rows}, 2), or the interval between rows"
-    times = as_floats(name, given, words)
+    times = as_floats(name, clock, words)
     if times.shape not in ((rows,), (rows, 2)):
         raise InvalidValue(f"{name} (shape)", times.shape, words)
     seconds = times if times.ndim == 1 else times[:, 0]
     seconds[~(np.abs(seconds) < LATEST)] = np.nan
     if np.all(np.isnan(seconds)):
-        raise InvalidValue(name, given, f"finite times below {LATEST:g} s")
+        raise InvalidValue(name, clock, f"finite times below {LATEST:g} s")
     whole = np.floor(seconds)
     rest = seconds - whole
     return Clock(whole, rest if times.ndim == 1 else rest + NANOSECOND * times[:, 1])
@@ -232,10 +232,10 @@ def _checked_times(name: str, times: Array) -> Array:
     return times
 
 
-def _gravity(given: ArrayLike | None, rows: int) -> Array | None:
-    if given is None:
+def _gravity(direction: ArrayLike | None, rows: int) -> Array | None:
+    if direction is None:
         return None
-    gravity = finite_array("gravity", given)
+    gravity = finite_array("gravity", direction)
     if gravity.shape not in ((3,), (rows, 3)):
         raise InvalidValue("gravity (shape)", gravity.shape, f"(3,) or ({rows}, 3), or None")
     return gravity

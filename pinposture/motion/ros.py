@@ -67,7 +67,7 @@ def to_message(trajectory: JointTrajectory) -> dict[str, Any]:
     Raises:
         InvalidValue: rows less than a nanosecond apart, or times out of the range of int32 seconds.
     """
-    times = [_nanoseconds(float(moment)) for moment in trajectory.time]
+    times = [_nanoseconds(float(seconds)) for seconds in trajectory.time]
     for k, (before, after) in enumerate(pairwise(times), start=1):
         if before == after:
             allowed = f"at least a nanosecond after time[{k - 1}] in a ROS 2 message"
@@ -157,10 +157,10 @@ def _parse_yaml(path: Path, text: str) -> Any:
             path, "is YAML and not JSON, which needs another package; pip install pyyaml"
         ) from None
     try:
-        documents = [each for each in yaml.safe_load_all(text) if each is not None]
+        documents = [document for document in yaml.safe_load_all(text) if document is not None]
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = "" if mark is None else f"line {mark.line + 1}: "
+        position = getattr(error, "problem_mark", None)
+        line = "" if position is None else f"line {position.line + 1}: "
         raise FileError(path, f"{line}{getattr(error, 'problem', None) or 'is not YAML'}") from error
     except (ValueError, RecursionError) as error:
         raise FileError(path, f"cannot be read as YAML ({error})") from error
@@ -201,9 +201,9 @@ def _numbers(path: Path, number: int, name: str, value: Any, count: int) -> list
     if value == [] and optional:
         return [nan] * count
     if not (isinstance(value, list) and len(value) == count):
-        found = f"of length {len(value)}" if isinstance(value, list) else _shown(value)
+        shown = f"of length {len(value)}" if isinstance(value, list) else _shown(value)
         allowed = f"{count}, one for each joint" + (", or none" if optional else "")
-        raise FileError(path, f"{what} is {found}; allowed: {allowed}")
+        raise FileError(path, f"{what} is {shown}; allowed: {allowed}")
     for k, part in enumerate(value):
         if not (is_number(part) and abs(part) <= sys.float_info.max):
             raise FileError(path, f"{what}[{k}] is {_shown(part)}; allowed: finite numbers")
@@ -424,7 +424,7 @@ class _LinkTree:
         self._data = arm.model.createData()
         self._configurations = trajectory.configurations(arm)
         frames = enumerate(arm.model.frames)
-        links = {str(each.name): k for k, each in frames if k and each.type == pin.FrameType.BODY}
+        links = {str(frame.name): k for k, frame in frames if k and frame.type == pin.FrameType.BODY}
         if not links:
             raise InvalidValue("arm", arm.name, "an arm with links, as loaded from a URDF")
         self._world = world_frame(arm)
@@ -479,15 +479,15 @@ def read_bag(path: Path, commands: str | None, joint_names: Sequence[str] = ()) 
     rows: dict[str, list[_Row]] = {STATES: []} if commands is None else {STATES: [], commands: []}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            kinds = {each.topic: str(each.msgtype) for each in reader.connections}
+            kinds = {connection.topic: str(connection.msgtype) for connection in reader.connections}
             for topic in rows:
                 if topic not in kinds:
                     raise FileError(path, f"has no topic {topic!r}; allowed: {', '.join(kinds)}")
                 if kinds[topic] not in _LOGGED:
                     allowed = ", ".join(_LOGGED)
                     raise FileError(path, f"{topic!r} is of the type {kinds[topic]}; allowed: {allowed}")
-            wanted = [each for each in reader.connections if each.topic in rows]
-            for connection, received, content in reader.messages(connections=wanted):
+            read = [connection for connection in reader.connections if connection.topic in rows]
+            for connection, received, content in reader.messages(connections=read):
                 message = reader.deserialize(content, connection.msgtype)
                 rows[connection.topic] += _LOGGED[str(connection.msgtype)](message, received, joint_names)
     except FileError:
@@ -531,8 +531,8 @@ def _joint_trajectory(message: Any, received: int, _: Sequence[str]) -> list[_Ro
 
 
 def _numbers_alone(message: Any, received: int, names: Sequence[str]) -> list[_Row]:
-    given = tuple(names) or tuple(str(k) for k in range(len(message.data)))
-    return [_Row(received, given, message.data, np.zeros(0))]
+    labels = tuple(names) or tuple(str(k) for k in range(len(message.data)))
+    return [_Row(received, labels, message.data, np.zeros(0))]
 
 
 _LOGGED = {
@@ -545,16 +545,16 @@ _LOGGED = {
 
 def _as_columns(path: Path, topic: str, rows: Sequence[_Row], kind: str) -> Columns:
     """Return the rows of a topic, in the order of their times, as columns."""
-    known = [each for each in rows if len(each.names) and len(each.positions) == len(each.names)]
+    known = [row for row in rows if len(row.names) and len(row.positions) == len(row.names)]
     if not known:
         raise FileError(path, f"has no positions on the topic {topic!r}")
-    ordered = sorted(known, key=lambda each: each.time)
-    names = tuple(dict.fromkeys(name for each in ordered for name in each.names))
+    ordered = sorted(known, key=lambda row: row.time)
+    names = tuple(dict.fromkeys(name for row in ordered for name in row.names))
     tables: dict[tuple[str, str], NDArray[np.float64]] = {}
-    for number, each in enumerate(ordered):
-        for name, position in zip(each.names, each.positions, strict=True):
+    for number, row in enumerate(ordered):
+        for name, position in zip(row.names, row.positions, strict=True):
             tables.setdefault((kind, name), np.full(len(ordered), nan))[number] = position
-        for name, effort in zip(each.names, each.effort, strict=False):
+        for name, effort in zip(row.names, row.effort, strict=False):
             tables.setdefault(("effort", name), np.full(len(ordered), nan))[number] = effort
-    times = np.array([divmod(each.time, NANOSECONDS) for each in ordered], dtype=np.float64)
+    times = np.array([divmod(row.time, NANOSECONDS) for row in ordered], dtype=np.float64)
     return Columns(times, names, tables)

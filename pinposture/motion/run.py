@@ -85,8 +85,8 @@ def find_limit_violation(run: Run) -> LimitViolation | None:
     bounds = run.limits.for_arm(run.arm)
     kinds = ("velocity", "acceleration", "jerk", "torque")
     shares = (*joint_shares(run), torque_shares(run.arm, run.q, run.limits))
-    for each in shares[1:]:
-        each[run.steps - 1] = each[run.steps - 1 :].max(axis=0)
+    for share in shares[1:]:
+        share[run.steps - 1] = share[run.steps - 1 :].max(axis=0)
     rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
     largest = (bounds.bound, bounds.acceleration, bounds.jerk, None)
     over = np.stack(
@@ -286,15 +286,15 @@ class Outcome:
     @cached_property
     def _faults_before_end(self) -> tuple[str, ...]:
         """Clauses on exceeded limits and the deepest penetration."""
-        found = [] if self.excess is None else [self.excess.text]
+        faults = [] if self.excess is None else [self.excess.text]
         if self.heaviest is not None and self.heaviest.load.exceeded:
-            found.append(str(self.heaviest))
+            faults.append(str(self.heaviest))
         if self.touched is not None:
-            return (*found, *self.touched)
+            return (*faults, *self.touched)
         deepest = find_penetration(self)
         if deepest is not None:
-            found.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
-        return (*found, *self.sag_faults)
+            faults.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
+        return (*faults, *self.sag_faults)
 
 
 class Heaviest(NamedTuple):
@@ -384,7 +384,7 @@ def find_sag(motion: Outcome) -> Sagged:
     moved = arm.at(q[-1]).points - arm.at(motion.q[-1]).points
     off = float(np.linalg.norm(moved, axis=1).mean())
     scene = arm_alone(arm) if motion.scene is None else motion.scene
-    distances = [CollisionModel(arm, motion.scene_in(k, scene)).minimum(each) for k, each in enumerate(q)]
+    distances = [CollisionModel(arm, motion.scene_in(k, scene)).minimum(row) for k, row in enumerate(q)]
     row = min(range(len(q)), key=lambda k: distances[k].distance)
     closest = distances[row]
     faults: tuple[str, ...] = ()
@@ -417,8 +417,8 @@ def _minimum_in(motion: Outcome, scene: Scene) -> Closest:
     arm = motion.arm
     scenes = [motion.scene_in(row, scene) for row in range(len(motion.q))]
     if scenes[-1] is not scene:
-        found = [CollisionModel(arm, at).minimum(q) for at, q in zip(scenes, motion.q, strict=True)]
-        return min(found, key=lambda each: each.distance)
+        distances = [CollisionModel(arm, at).minimum(q) for at, q in zip(scenes, motion.q, strict=True)]
+        return min(distances, key=lambda closest: closest.distance)
     start = motion.q[0]
     offsets = np.array([arm.difference(start, q) for q in motion.q])
     return CollisionModel(arm, scene).minimum_along(start, offsets)
@@ -426,7 +426,7 @@ def _minimum_in(motion: Outcome, scene: Scene) -> Closest:
 
 def require_no_faults(motion: Outcome, force: bool, compensate: bool) -> None:
     """Raise MotionError if a motion has faults, unless `force` is True; `compensate`: other than of sag."""
-    faults = [each for each in motion.faults if not (compensate and each in motion.sag_faults)]
+    faults = [fault for fault in motion.faults if not (compensate and fault in motion.sag_faults)]
     if faults and not force:
         raise MotionError(faults)
 
@@ -626,7 +626,7 @@ class Run(Outcome):
             {line.partition(":")[0] for line in lines.splitlines()} for lines in self.violated_constraints
         ]
         steps = {name: np.flatnonzero([name in names for names in named]) for name in CONSTRAINTS}
-        return {name: found for name, found in steps.items() if len(found)}
+        return {name: numbers for name, numbers in steps.items() if len(numbers)}
 
     @cached_property
     def active_sets(self) -> tuple[tuple[int, ...], ...]:
@@ -791,4 +791,4 @@ def run_arrays(run: Run) -> Arrays:
 
 def info_of(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
     """Return `Run.info` from the arrays of a run."""
-    return {name.removeprefix(INFO): each for name, each in arrays.items() if name.startswith(INFO)}
+    return {name.removeprefix(INFO): array for name, array in arrays.items() if name.startswith(INFO)}

@@ -103,10 +103,10 @@ class SagCompensation:
             self._dt = dt
         if not self._smoothing.active and dt != self._period:
             limits = replace(limits, dt=dt)
-        wanted = self._wanted(state, positions)
+        command = self._wanted(state, positions)
         step = None
         if self._smoothing.needs_step(dt / self._period):
-            room = wanted - self._aimed
+            room = command - self._aimed
             bounds = limits.for_arm(self.arm)
             step = room
             if bounds.brake is not None:
@@ -122,9 +122,9 @@ class SagCompensation:
     def _wanted(self, state: ArmState, positions: Array) -> Array:
         """Return the compensation within the position limits."""
         needed = self._compliance @ state.gravity_torques
-        wanted = self._within(needed, positions)
-        self.cut = needed - wanted
-        return wanted
+        command = self._within(needed, positions)
+        self.cut = needed - command
+        return command
 
     def _within(self, offset: Array, positions: Array) -> Array:
         """Return a compensation such that joints within their limits, at these positions, stay there."""

@@ -162,9 +162,9 @@ class Belief(NamedTuple):
 
     def _moved(self, sensor: Sensor, pull: Array) -> FittedState:
         """Return the state to which a pull moves this one."""
-        change, given = np.split(self.covariance @ pull, 2)
+        change, gains = np.split(self.covariance @ pull, 2)
         state = self.state.moved(change)
-        give = self.give + given
+        give = self.give + gains
         return FittedState(state, give, pull, sensor.near(state, give))
 
     def _cost(self, sensor: Sensor, fit: FittedState, used: Chosen) -> float:
@@ -212,9 +212,11 @@ class Belief(NamedTuple):
         residuals = fit.near.errors[used]
         count, size = residuals.shape
         inverse = cho_solve(self._spread(sensor, rows), np.eye(count * size))
-        own = np.einsum("kbkc->kbc", inverse.reshape(count, size, count, size)) * sensor.noise**4
+        blocks = np.einsum("kbkc->kbc", inverse.reshape(count, size, count, size)) * sensor.noise**4
         distances = np.zeros(len(used))
-        distances[used] = np.einsum("kb,kb->k", residuals, np.linalg.solve(own, residuals[..., None])[..., 0])
+        distances[used] = np.einsum(
+            "kb,kb->k", residuals, np.linalg.solve(blocks, residuals[..., None])[..., 0]
+        )
         return distances
 
     def _after(self, sensor: Sensor, fit: FittedState, used: Chosen) -> Belief:
@@ -396,12 +398,12 @@ class ShapeEstimator:
         require_known("side of encoders", side, SIDES)
         if isinstance(positions, Mapping):
             read = np.full(arm.nv, np.nan)
-            found = arm.drives.find(positions)
-            if not found:
+            columns = arm.drives.find(positions)
+            if not columns:
                 raise InvalidValue(
                     "positions", list(positions), f"names of joints, such as {arm.joint_names[0]!r}"
                 )
-            read[list(found)] = list(found.values())
+            read[list(columns)] = list(columns.values())
         else:
             read = _readings("positions", positions, (arm.nv,))
         known = np.flatnonzero(~np.isnan(read))
@@ -463,9 +465,9 @@ class ShapeEstimator:
         def near(state: ChainState, _: Array) -> Readings:
             expected = state.rotations[points] @ mounted
             apart = np.swapaxes(expected, 1, 2) @ world
-            errors = np.array([pin.log3(each) for each in apart]).reshape(-1, 3)
+            errors = np.array([pin.log3(turn) for turn in apart]).reshape(-1, 3)
             # exp(-u) M moves log M by the inverse of its left Jacobian, times -u.
-            turning = np.array([pin.Jlog3(each).T for each in apart]).reshape(-1, 3, 3)
+            turning = np.array([pin.Jlog3(turn).T for turn in apart]).reshape(-1, 3, 3)
             rows = turning @ np.swapaxes(expected, 1, 2) @ state.angular_jacobians[points]
             return Readings(errors, rows)
 

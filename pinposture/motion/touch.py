@@ -64,7 +64,7 @@ def _threshold(name: str, value: object) -> float | dict[str, float] | None:
     if value is None:
         return None
     if isinstance(value, Mapping):
-        return {str(key): require_positive(f"{name}[{key!r}]", each) for key, each in value.items()}
+        return {str(key): require_positive(f"{name}[{key!r}]", entry) for key, entry in value.items()}
     return require_positive(name, value)  # type: ignore[arg-type]
 
 

@@ -783,7 +783,7 @@ class Tracker:
             harder = self.scene is not None and exceeded.startswith("acceleration")
             text = BRAKING_HARDER if harder else exceeded
             relaxed += (text,) * (text not in relaxed)
-        failures = tuple(self._told_apart(each) for each in feedback.failures)
+        failures = tuple(self._told_apart(failure) for failure in feedback.failures)
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step, failures=failures)
 
     def _told_apart(self, failure: JointFailure) -> JointFailure:
@@ -890,15 +890,15 @@ class Tracker:
         measured = self._feedback.measured
         if self.scene is None or sent is None:
             return ()
-        found: list[str] = []
+        words: list[str] = []
         if self._smoothing.active:
-            found += self._describe_clearance(CollisionModel(self.arm, self.scene).minimum(sent.q))
+            words += self._describe_clearance(CollisionModel(self.arm, self.scene).minimum(sent.q))
         if measured is not None and self._feedback.compensates and self._may_be_close(measured):
             model = CollisionModel(self.arm, self.scene)
             closest = model.minimum(self.arm.configuration(measured))
             self._clearance = (self.scene, measured, closest)
-            found += self._describe_clearance(closest)
-        return tuple(dict.fromkeys(found))
+            words += self._describe_clearance(closest)
+        return tuple(dict.fromkeys(words))
 
     def _may_be_close(self, positions: Array) -> bool:
         """Return whether the arm may be too close at joint positions (nv,), given the last distance."""

@@ -197,10 +197,10 @@ class Trajectory:
             used["jerk"] = np.maximum(planned, jerks[cycle : cycle + 3].max(axis=0))
             used["acceleration"] = np.where(bounds.brake < bounds.acceleration, 0.0, used["acceleration"])
         kind = max(used, key=lambda kind: float(used[kind].max()))
-        ahead = sum(place.planned <= self.plan_time[cycle] for place in self.waypoints)
+        ahead = sum(waypoint.planned <= self.plan_time[cycle] for waypoint in self.waypoints)
         # The arm slows down before a keyframe with limited speed, and speeds up after it.
         near_by = [*self.waypoints[ahead : ahead + 2], *self.waypoints[max(ahead - 1, 0) : ahead]]
-        slow = [place for place in near_by if place.speed < 1.0]
+        slow = [waypoint for waypoint in near_by if waypoint.speed < 1.0]
         if slow and used[kind].max() < HOLDING_SHARE:
             return f"{slow[0].name} allows {100.0 * slow[0].speed:.3g} % of the velocity limits"
         return f"joint {self.arm.joint_names[int(used[kind].argmax())]} is at its {kind} limit"
@@ -257,12 +257,14 @@ class Trajectory:
             "keyframes": [
                 {
                     **{
-                        name: value for name, value in place._asdict().items() if name not in ("row", "moved")
+                        name: value
+                        for name, value in waypoint._asdict().items()
+                        if name not in ("row", "moved")
                     },
-                    "moved": None if place.moved is None else place.moved._asdict(),
-                    "too_heavy": self._too_heavy(place),
+                    "moved": None if waypoint.moved is None else waypoint.moved._asdict(),
+                    "too_heavy": self._too_heavy(waypoint),
                 }
-                for place in self.waypoints
+                for waypoint in self.waypoints
             ],
             "worst_posture_error": float(errors.max()),
             "worst_at": float(self.time[worst]),
@@ -281,11 +283,11 @@ class Trajectory:
             "deviations": list(self.deviations),
         }
 
-    def _too_heavy(self, place: WaypointResult) -> str | None:
+    def _too_heavy(self, waypoint: WaypointResult) -> str | None:
         """Say that a joint has not the torque to hold the posture of a waypoint; None if none is known to."""
-        if place.row is None:
+        if waypoint.row is None:
             return None
-        load = self.arm.at(self.q[place.row]).most_loaded()
+        load = self.arm.at(self.q[waypoint.row]).most_loaded()
         return str(load) if load is not None and load.exceeded else None
 
     def joint_trajectory(self, force: bool = False, compensate: bool = False) -> JointTrajectory:

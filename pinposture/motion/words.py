@@ -155,24 +155,24 @@ def _duration(summary: Mapping[str, Any]) -> str:
 
 def _keyframes(places: list[dict[str, Any]], arm_length: float) -> str:
     """Describe the named places, one per line, in columns."""
-    width = max(len(place["name"]) for place in places)
+    width = max(len(waypoint["name"]) for waypoint in places)
     lines = []
-    for place in places:
-        line = f"{place['name']:{width}}  planned {place['planned']:8.4g} s, "
-        if place["reached"] is None:
+    for waypoint in places:
+        line = f"{waypoint['name']:{width}}  planned {waypoint['planned']:8.4g} s, "
+        if waypoint["reached"] is None:
             line += "not reached"
         else:
-            passed = "missed" if place["missed"] else "passed"
-            error = length_text(place["mean_error"], arm_length)
-            line += f"{passed} {place['reached']:8.4g} s, mean error {error}"
-        if place["off_curve"] is not None:
-            line += f", largest distance from its curve {length_text(place['off_curve'], arm_length)}"
-        if place["tip_off"] is not None:
-            line += f", tip error {length_text(place['tip_off'], arm_length)}"
-        if place["moved"] is not None and Moved(**place["moved"]):
-            line += f", curve {Moved(**place['moved'])}"
-        if place["too_heavy"] is not None:
-            line += f", {place['too_heavy']}"
+            passed = "missed" if waypoint["missed"] else "passed"
+            error = length_text(waypoint["mean_error"], arm_length)
+            line += f"{passed} {waypoint['reached']:8.4g} s, mean error {error}"
+        if waypoint["off_curve"] is not None:
+            line += f", largest distance from its curve {length_text(waypoint['off_curve'], arm_length)}"
+        if waypoint["tip_off"] is not None:
+            line += f", tip error {length_text(waypoint['tip_off'], arm_length)}"
+        if waypoint["moved"] is not None and Moved(**waypoint["moved"]):
+            line += f", curve {Moved(**waypoint['moved'])}"
+        if waypoint["too_heavy"] is not None:
+            line += f", {waypoint['too_heavy']}"
         lines.append(line)
     return "\n".join(lines)
 
@@ -240,7 +240,7 @@ def _first_touch(contact: Mapping[str, Any]) -> str:
     first = contact["first_touch"]
     if first is None:
         return "none"
-    pairs = sum(each["of_arm"] for each in contact["all"])
+    pairs = sum(entry["of_arm"] for entry in contact["all"])
     others = f"; {pairs} pairs touched in all" if pairs > 1 else ""
     slid = f", slid {length_text(first['slip'])}" if first["slip"] > 0.0 else ""
     how = f"at {first['speed']:.3g} m/s, up to {first['force']:.3g} N{slid}"
@@ -326,10 +326,10 @@ def _of_identification(summary: Mapping[str, Any]) -> dict[str, str]:
         words["noise"] = f"{min(noise):.2g} to {max(noise):.2g} {summary['unit']}"
     drives = summary["drives"]
     for name, unit in summary["units"].items():
-        found = summary["payload"] if name == "payload" else drives[name.replace(" ", "_")]
+        estimate = summary["payload"] if name == "payload" else drives[name.replace(" ", "_")]
         told = "not identified"
-        if found is not None:
-            told = f"{found['value']:.4g} {unit} ({found['lower']:.4g} to {found['upper']:.4g})"
+        if estimate is not None:
+            told = f"{estimate['value']:.4g} {unit} ({estimate['lower']:.4g} to {estimate['upper']:.4g})"
         words[name] = told
     if drives["explained"] is not None:
         words["explained"] = (
