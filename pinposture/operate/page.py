@@ -24,7 +24,15 @@ from pinposture.collision.cells import Cells
 from pinposture.collision.model import describe_distance
 from pinposture.control.reach import room_to_limits
 from pinposture.editor.ui.arm import ArmDrawing
-from pinposture.editor.ui.page import IN_SIGHT, PAGE, STATUS_COLORS, camera_direction, framing, set_stage
+from pinposture.editor.ui.page import (
+    IN_SIGHT,
+    PAGE,
+    STATUS_COLORS,
+    Viewpoint,
+    camera_direction,
+    framing,
+    set_stage,
+)
 from pinposture.editor.ui.parts import Drag, add_lines, color, framed_html, on_click, put, put_at
 from pinposture.editor.ui.server import Channel, serve
 from pinposture.errors import NoEquilibrium
@@ -72,7 +80,7 @@ class PageSettings(NamedTuple):
     pixel: int = 4
     """Width of a pixel of the camera, in those of the page."""
 
-    covered: float = 0.3
+    covered: float = 0.25
     """Share of the picture, from below, that the controls cover."""
 
 
@@ -155,6 +163,25 @@ def status_html(operation: Operation | Replay, shown: Shown, age: float) -> str:
     about = "" if not operation.kind else f"<span>{escape(operation.kind)}</span>"
     below = f'<div style="margin-top:4px;color:{THEME.quiet}">{about}</div>'
     return text + framed_html("status", STATUS_COLORS[kind], escape(head), escape(reason), below) + "</div>"
+
+
+def viewpoint(arm: Arm, direction: Array) -> Viewpoint:
+    """Return a camera that has an arm in sight, neutral, straight, and straight at both ends of its feed.
+
+    Args:
+        arm: the arm.
+        direction: from the arm to the camera, (3,).
+    """
+    postures = [arm.neutral(), arm.straight()]
+    column = int(arm.chain.columns[0])
+    if arm.slides[column]:
+        for limit in (arm.limits.lower[column], arm.limits.upper[column]):
+            positions = arm.positions(arm.straight())
+            if np.isfinite(limit):
+                positions[column] = limit
+            postures.append(arm.configuration(positions))
+    points = np.vstack([arm.chain.base, *(arm.at(q).points for q in postures)])
+    return framing(points, 0.1 * arm.length, direction, PAGE.least_aspect, LIVE_PAGE.covered)
 
 
 class CurveHandles:
@@ -300,6 +327,7 @@ class LivePage:
 
     Attributes:
         url: where a browser on this machine finds it; anyone who has it can ask for control.
+        view: the camera of a browser that nobody has turned.
 
     Args:
         operation: the operation, or a recording of one.
@@ -331,7 +359,12 @@ class LivePage:
             return json.dumps(reply | plan | {"state": f"The arm {shown.mode}{why}"})
 
         head = files("pinposture.operate").joinpath("controls.html").read_text(encoding="utf-8")
-        words = {"PERIOD": f"{1e3 * CONTROL.period:.0f}", "PATH": CHANNEL_PATH, "ALONE": ALONE_PATH}
+        words = {
+            "PERIOD": f"{1e3 * CONTROL.period:.0f}",
+            "PATH": CHANNEL_PATH,
+            "ALONE": ALONE_PATH,
+            "DOCK": str(PAGE.controls_width),
+        }
         for word, value in words.items():
             head = head.replace(f"__{word}__", value)
         self._server, self.url = serve(
@@ -344,10 +377,8 @@ class LivePage:
         server.gui.set_panel_label("pinposture")
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(PAGE.controls_width)
-        points = np.vstack([arm.chain.base, arm.at(arm.straight()).points, arm.at(arm.neutral()).points])
-        radius = 0.1 * arm.length
-        view = framing(points, radius, camera_direction(arm), PAGE.least_aspect, LIVE_PAGE.covered)
-        set_stage(server, arm, view)
+        self.view = viewpoint(arm, camera_direction(arm))
+        set_stage(server, arm, self.view)
         self._status = server.gui.add_html("")
         self._bars = server.gui.add_html("")
         self._about = server.gui.add_html("")
