@@ -241,6 +241,7 @@ def _drive(
     with open_node("pinposture", ros_args or ()) as node:
         with hold_interrupt():
             driver = Driver(node, operation.arm, DriverSettings(rate=RATE), limits=limits, scene=scene)
+            operation.goes_on = True
             driver.follow(operation)
         with _page(operation, options):
             spin_node(node, driver)

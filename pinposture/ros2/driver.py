@@ -63,6 +63,9 @@ STALE_SPEED = 0.25
 OUTLOOK_PERIOD = 1.0
 """Time between two looks at what is possible without locked joints [s], as for targets that are streamed."""
 
+LED = "the operator leads the arm out"
+"""What is possible without locked joints, where a guide has locked them."""
+
 STANDSTILL = 2.0
 """Time without a cycle after which a driver that shall end does not wait for one any longer [s]. Cycles stop
 with the clock of a simulation."""
@@ -129,6 +132,10 @@ class Cloud(NamedTuple):
 
 class Guide(Protocol):
     """What leads an arm cycle by cycle, in place of targets that it is sent."""
+
+    @property
+    def arm(self) -> Arm:
+        """The arm that it leads: that of the driver, or with joints locked that are stuck."""
 
     def lead(self, tracker: Tracker, measured: Array | None, scene: Scene, dt: float, held: str = "") -> str:
         """Set the target of a tracker for a cycle.
@@ -354,6 +361,9 @@ class Driver:
         try:
             settings = replace(self.settings, max_age=changed.get("max_age", self.settings.max_age))
             if "locked" in changed:
+                if self._guide is not None:
+                    allowed = "unchanged while an operator or another guide leads the arm"
+                    raise InvalidValue("locked", changed["locked"], allowed)
                 to_lock = self._lockable(changed["locked"])
             if changed.get("retreat", False) and not self._retreats:
                 self._require_way_in()
@@ -483,8 +493,13 @@ class Driver:
         """Follow a guide from now on, which leads the arm in each cycle; targets that are sent are refused.
 
         Args:
-            guide: the guide; called in the thread in which the node works.
+            guide: the guide; called in the thread in which the node works. It says which joints are locked.
+
+        Raises:
+            InvalidValue: joints are locked already.
         """
+        if self.locked or self._to_lock:
+            raise InvalidValue("guide", guide, "none while joints are locked")
         self._performance = None
         self._guide = guide
 
@@ -535,12 +550,23 @@ class Driver:
         self._to_lock = None
         measured = dict(zip(self.arm.joint_names, self.arm.positions(q).tolist(), strict=True))
         positions = {name: self.locked.get(name, measured[name]) for name in names}
-        if positions == self.locked:
-            return
+        if positions != self.locked:
+            self._prepare(self.arm.with_locked(positions) if positions else self.arm, positions, q)
+
+    def _prepare(self, arm: Arm, positions: dict[str, float], q: Array) -> None:
+        """Have the arm prepared with joints locked at positions, by name, at a configuration, (nq,)."""
         self._wanted = positions
-        locked = self.arm.with_locked(positions) if positions else self.arm
-        self._preparing = f"the arm is prepared without {', '.join(names) or 'locked joints'}"
-        self._ahead.ask(self._situation(locked, positions, q, self._retreats))
+        self._preparing = f"the arm is prepared without {', '.join(positions) or 'locked joints'}"
+        self._ahead.ask(self._situation(arm, positions, q, self._retreats))
+
+    def _go_on_as(self, guide: Guide, q: Array) -> None:
+        """Have the arm prepared as a guide leads it, if that locks other joints, at a configuration, (nq,)."""
+        arm = guide.arm
+        if arm is self.tracker.arm or self._preparing:
+            return
+        stands = (arm.limits.lower == arm.limits.upper) & (self.arm.limits.lower < self.arm.limits.upper)
+        names = np.array(arm.joint_names)[stands].tolist()
+        self._prepare(arm, dict(zip(names, arm.limits.lower[stands].tolist(), strict=True)), q)
 
     def _situation(self, arm: Arm, positions: dict[str, float], q: Array, leave: bool) -> Locked:
         target = self.tracker.target
@@ -554,8 +580,8 @@ class Driver:
             while not (self.tracker.at_rest or outdated.wait(POLLING)):
                 pass
             self._posted.put(lambda: self._take_over(locked, tracker))
-        if not locked.positions:
-            return Outlook(None, None, "no joint is locked")
+        if not locked.positions or self._guide is not None:
+            return Outlook(None, None, LED if self._guide is not None else "no joint is locked")
         return self._outlooks.find(locked, outdated)
 
     def _take_over(self, locked: Locked, tracker: Tracker) -> None:
@@ -578,7 +604,7 @@ class Driver:
         self._performance = None
         if locked.positions is self._wanted:
             self._preparing = ""
-        self._outlook = "searched for" if self.locked else ""
+        self._outlook = (LED if self._guide is not None else "searched for") if self.locked else ""
 
     def _pass_outlook_on(self, done: Done[Locked, Outlook]) -> None:
         """Pass an outlook on to the cycle; called in the thread."""
@@ -589,7 +615,8 @@ class Driver:
         outlook = done.answer
         if outlook is None:
             self._preparing = ""
-        if not (done.request.positions or done.request.leave or outlook is None):
+        idle = self._guide is not None or not (done.request.positions or done.request.leave)
+        if idle and outlook is not None:
             return
         self._outlook = str(done.error if outlook is None else outlook)
         if done.request.leave and self._retreats and outlook is not None and outlook.way_out is not None:
@@ -684,6 +711,8 @@ class Driver:
             self._map_measurement(q, measured.stamp)
             self._way_in.add(q)
             self._lock(q)
+            if self._guide is not None:
+                self._go_on_as(self._guide, q)
         self._pass_clouds_on(now)
         self._run_posted()
         self._take_cells()

@@ -417,6 +417,74 @@ def test_an_operator_leads_the_arm_and_nothing_else_does(graph: Any, driver: Dri
     assert graph.run(lambda: robot.at(posture(arm, 0.0))), driver.reason
 
 
+def test_an_operator_leads_the_arm_out_with_the_joint_that_sticks(
+    graph: Any, driver: Driver, robot: Robot
+) -> None:
+    from rclpy.parameter import Parameter
+
+    arm = driver.arm
+    driver.aim(posture(arm, 0.2))
+    assert graph.run(lambda: robot.at(posture(arm, 0.2))), driver.reason
+    control = Control()
+    limits = pp.Limits(step=None, dt=DT, velocity=VELOCITY, acceleration=ACCELERATION)
+    operation = Operation(arm, limits, control)
+    operation.goes_on = True
+    driver.follow(operation)
+    control.take("page", json.dumps({"do": "ask"}), time.monotonic())
+
+    def hold(until: Callable[[], Any], patience: float = 60.0, **shares: float) -> bool:
+        """Hold something until something is so; anew if the machine was too slow for it to count."""
+        order = {"do": "hold", "ahead": 0.0, "left": 0.0, "up": 0.0, "override": 1.0, **shares}
+
+        def told() -> bool:
+            now = time.monotonic()
+            if control.order(now) is None:
+                control.take("page", json.dumps({"do": "release"}), now)
+            way = operation.shown.planned.number
+            control.take("page", json.dumps({**order, "way": way}), now)
+            return bool(until())
+
+        return graph.run(told, patience)
+
+    began = dict(robot.positions)
+    start = robot.points[-1]
+    moved = 0.1 * arm.length
+    back = {"ahead": -0.5, "up": 1.0}
+    assert hold(lambda: np.linalg.norm(robot.points[-1] - start) > moved, **back), driver.reason
+    before = np.array(list(robot.positions.values()))
+    assert hold(lambda: np.abs(np.array(list(robot.positions.values())) - before).max() > 0.05, **back)
+    steps = np.abs(np.array(list(robot.positions.values())) - before)
+    failing = list(robot.positions)[int(steps.argmax())]
+    stuck_at = robot.positions[failing]
+
+    def stick(message: Any) -> list[Any]:
+        message.position[list(message.name).index(failing)] = stuck_at
+        return [message]
+
+    robot.alter = stick
+    assert hold(lambda: operation.arm is not arm, **back), (driver.reason, operation.shown)
+    assert operation.arm.limits.lower.tolist().count(stuck_at) == 1
+    whole = driver.tracker
+    assert graph.run(lambda: driver.tracker is not whole, 60.0), driver.reason
+    assert driver.tracker.arm is operation.arm and driver.locked == {failing: stuck_at}
+    words = "unchanged while an operator or another guide leads the arm"
+    (answer,) = driver._node.set_parameters([Parameter("locked", value="")])
+    assert words in answer.reason
+    way = operation.ways.way
+    assert way is not None
+    assert hold(lambda: way.at == way.end and driver.tracker.at_rest, along=1.0), (
+        driver.reason,
+        operation.shown,
+    )
+    assert graph.run(lambda: driver.tracker.at_rest)
+    graph.run_for(0.1)
+    for name in set(robot.positions) - {failing}:
+        assert robot.positions[name] == pytest.approx(began[name], abs=0.03), name
+    assert robot.positions[failing] == pytest.approx(stuck_at, abs=1e-6)
+    operation.close()
+    robot.alter = lambda message: [message]
+
+
 class Simulator:
     """Publishes a clock of its own, joint states with efforts, and follows commands exactly."""
 
