@@ -1,6 +1,6 @@
 """The pictures of the documentation: drawn here, figures that examples save, and frames of their animations.
 
-python docs/pictures.py            # all, into docs/pictures, and two GIFs beside; frames need Chromium
+python docs/pictures.py            # all, into docs/pictures, and three GIFs beside; frames need Chromium
 python docs/pictures.py limits     # those named
 """
 
@@ -13,7 +13,7 @@ import runpy
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -365,6 +365,9 @@ def dragging(count: int = FRAMES) -> list[Image.Image]:
     return frames[1:]
 
 
+OPERATING_DELAY = 100
+"""Time for which a picture of the operator's run is shown [ms]: twice the speed of the simulation."""
+
 SHOWN = 8
 """Every so many cycles of the simulation of `19_wrap` there is a frame, which is shown at twice the speed."""
 
@@ -476,6 +479,18 @@ MEASURED = {
 """Pictures beside the pages that other commands draw from what they measure."""
 
 
+@contextlib.contextmanager
+def chromium() -> Iterator[Any]:
+    """Yield Chromium without a screen, driven by Playwright."""
+    from playwright.sync_api import sync_playwright
+
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
+        yield browser
+        browser.close()
+
+
 def photograph(page: Path, share: float, zoom: float) -> bytes:
     """Return a frame of an animation as PNG, as Chromium shows it.
 
@@ -484,11 +499,7 @@ def photograph(page: Path, share: float, zoom: float) -> bytes:
         share: share of its duration at which the picture is taken.
         zoom: how far the view is enlarged.
     """
-    from playwright.sync_api import sync_playwright
-
-    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
+    with chromium() as browser:
         window = browser.new_page(viewport={"width": 1100, "height": 560})
         window.goto(page.absolute().as_uri())
         window.evaluate(
@@ -497,9 +508,7 @@ def photograph(page: Path, share: float, zoom: float) -> bytes:
             [share, zoom],
         )
         window.wait_for_timeout(2000)
-        picture = window.screenshot()
-        browser.close()
-    return picture
+        return bytes(window.screenshot())
 
 
 def draw(name: str, folder: Path) -> Path:
@@ -533,10 +542,15 @@ def draw(name: str, folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES, *ANIMATIONS, "dragging", "wrapping"):
-        if wanted == "dragging":
+    for name in sys.argv[1:] or (*CONCEPTS, *EXAMPLES, *ANIMATIONS, "dragging", "wrapping", "operating"):
+        if name == "dragging":
             animate(HERE / "dragging.gif", dragging(), round(1e3 * CYCLE))
-        elif wanted == "wrapping":
+        elif name == "wrapping":
             animate(HERE / "wrapping.gif", wrapping(), 80)
+        elif name == "operating":
+            from operating import operating
+
+            with chromium() as browser:
+                animate(HERE / "operating.gif", operating(browser), OPERATING_DELAY)
         else:
-            draw(wanted, HERE / "pictures")
+            draw(name, HERE / "pictures")

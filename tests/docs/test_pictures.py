@@ -36,7 +36,7 @@ def test_each_picture_is_made_by_the_script_small_and_shown_somewhere(script: di
 
 def test_every_other_picture_is_shown_and_has_a_command_that_draws_it(script: dict[str, Any]) -> None:
     beside = {path.name for kind in ("png", "gif", "svg", "jpg") for path in DOCS.glob(f"*.{kind}")}
-    assert beside == {*script["MEASURED"], "dragging.gif", "wrapping.gif"}
+    assert beside == {*script["MEASURED"], "dragging.gif", "wrapping.gif", "operating.gif"}
     pages = "".join(path.read_text() for path in (DOCS.parent / "README.md", *DOCS.rglob("*.md")))
     for name in beside:
         assert re.search(rf"[(/]{re.escape(name)}\)", pages)
