@@ -560,7 +560,7 @@ class Driver:
         self._ahead.ask(self._situation(arm, positions, q, self._retreats))
 
     def _go_on_as(self, guide: Guide, q: Array) -> None:
-        """Have the arm prepared as a guide leads it, if that locks other joints, at a configuration, (nq,)."""
+        """Have the arm prepared as a guide leads it, if that locks other joints, from q, (nq,)."""
         arm = guide.arm
         if arm is self.tracker.arm or self._preparing:
             return
