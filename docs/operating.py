@@ -68,6 +68,9 @@ INTO_THE_HOLE = 26
 LOOK = np.array([-0.12, 0.1, 0.3])
 """How far the end of the curve is dragged [m]."""
 
+OUTSIDE = 1.2
+"""Where the tip is out of the hole again, along x [m]."""
+
 PLANNING = 3.0
 """Time for which plans of a drag are waited for [s]."""
 
@@ -358,11 +361,10 @@ def fail(film: Film) -> None:
     film.set_speed(1.0)
     film.leave()
     film.hold("r")
-    film.run_until(lambda: film.operation.ways.way.at >= film.operation.ways.way.end, 3 * CYCLES)
-    film.hold()
+    film.run_until(lambda: film.tip[0, 0] < OUTSIDE, 3 * CYCLES)
     film.caption = "Out again."
-    film.run_until(lambda: film.operation.shown.mode == "holds")
     film.shoot(25)
+    film.hold()
 
 
 def operating(browser: Any) -> list[Image.Image]:
