@@ -671,14 +671,12 @@ class PostureProblem(NamedTuple):
 
 
 class SearchSettings(NamedTuple):
-    """Settings of the search; see `damped_least_squares`.
+    """Settings of a search by damped least squares; see `placement.points.POSTURE_SEARCH`.
 
     Attributes:
         good: mean error at which the search ends.
-        largest_error: bound to which errors are scaled down.
         largest_step: largest step of a joint, in units.
         damping_share: damping relative to the sum of squares.
-        stiffness_share: damping relative to the stiffness of the chain, which falls and rises as the other.
         least_damping: smallest damping relative to the stiffness of the chain.
         least_stiffness: lower bound of that stiffness.
         decrease: factor of the damping after a step that reduced the errors.
@@ -691,10 +689,8 @@ class SearchSettings(NamedTuple):
     """
 
     good: float
-    largest_error: float
     largest_step: float
     damping_share: float
-    stiffness_share: float
     least_damping: float
     least_stiffness: float
     decrease: float

@@ -642,24 +642,20 @@ def minimise_posture_errors(
         placements(chain, tried, axes, origins, every, rotations)
         for k in range(p):
             points[k] = every[indices[k]]
-        found = measure_point_errors(points, targets, weights, chords, normal, errors)
-        if found < squares:
-            idle = idle + 1 if found > (1.0 - settings.converged) * squares else 0
+        tried_squares = measure_point_errors(points, targets, weights, chords, normal, errors)
+        if tried_squares < squares:
+            idle = idle + 1 if tried_squares > (1.0 - settings.converged) * squares else 0
             factor = max(factor * settings.decrease, settings.least_factor) if step else factor
-            squares = found
+            squares = tried_squares
             mean = 0.0
-            largest = 0.0
             positions[:] = tried
             for k in range(p):
-                size = np.sqrt(errors[k, 0] ** 2 + errors[k, 1] ** 2 + errors[k, 2] ** 2)
-                mean += size / p
-                largest = max(largest, size)
+                mean += np.sqrt(errors[k, 0] ** 2 + errors[k, 1] ** 2 + errors[k, 2] ** 2) / p
             if mean <= settings.good:
                 break
-            scale = min(1.0, settings.largest_error / max(largest, 1e-300))
             find_screws(chain, joints, units, axes, origins, ends, points, screws)
             objective = PointObjective(screws, ends, points.copy(), weights, chords)
-            wanted = scale * errors
+            left = errors.copy()
             stiff = max(stiffness(objective), settings.least_stiffness)
             for u in range(n):
                 here = positions[columns[joints[u]]]
@@ -670,10 +666,9 @@ def minimise_posture_errors(
             idle += factor > settings.most_factor
         if idle >= settings.idle or step == settings.steps:
             break
-        varied = settings.damping_share * scale**2 * squares + settings.stiffness_share * stiff
-        damping[:] = factor * varied + settings.least_damping * stiff
+        damping[:] = factor * settings.damping_share * squares + settings.least_damping * stiff
         at_bound[:] = 0
-        minimise_in_box(objective, wanted, damping, centre, lower, upper, at_bound, x)
+        minimise_in_box(objective, left, damping, centre, lower, upper, at_bound, x)
         for u in range(n):
             j = columns[joints[u]]
             tried[j] = positions[j] + x[u] * units[u]

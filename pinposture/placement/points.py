@@ -73,28 +73,29 @@ class PointFitSettings(NamedTuple):
     restart_noise: float = 0.3
     """Standard deviation of their perturbations, in `Arm.joint_units`."""
 
-    search: SearchSettings = SearchSettings(
-        good=0.0,  # [m]; see `_fit`
-        largest_error=np.inf,
-        largest_step=0.5,
-        damping_share=0.0,
-        stiffness_share=1e-3,
-        least_damping=0.0,
-        least_stiffness=0.0,  # [m^2]; see `_fit`
-        decrease=0.2,
-        increase=5.0,
-        least_factor=1e-9,
-        most_factor=1e9,
-        converged=1e-9,
-        idle=3,
-        steps=300,
-    )
-    """Damping is in proportion to the stiffness of the arm alone. Of 40 fits of unreachable points, damping
-    that falls with the errors, as the planner has it, ended 8 in a worse local minimum and 4 in a better
-    one."""
-
 
 POINT_FIT = PointFitSettings()
+
+
+POSTURE_SEARCH = SearchSettings(
+    good=0.0,
+    largest_step=0.5,
+    damping_share=0.5,
+    least_damping=1e-10,
+    least_stiffness=0.0,
+    decrease=0.3,
+    increase=4.0,
+    least_factor=1e-6,
+    most_factor=1e9,
+    converged=1e-6,
+    idle=3,
+    steps=300,
+)
+"""How least squares search for postures that take points; `good` and `least_stiffness` depend on the arm.
+
+Damping falls with the sum of squared errors (Sugihara 2011). `docs/design/branch_search.md` says what other
+steps and kinds of damping do.
+"""
 
 
 WEAK_MOTION = 0.3
@@ -353,14 +354,32 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
         chords=np.zeros(len(indices)),
         normal=np.zeros(3),
     )
-    settings = POINT_FIT.search._replace(
-        good=1e-3 * POINT_FIT.no_error * arm.length / len(indices), least_stiffness=1e-12 * arm.length**2
-    )
     positions = np.array(start)
     positions[columns] = np.clip(start[columns], lower, upper)
-    kernels.minimise_posture_errors(problem, settings, positions)
+    good = 1e-3 * POINT_FIT.no_error * arm.length / len(indices)
+    minimise_posture_errors(arm, problem, positions, good)
     positions[columns] = np.clip(positions[columns], lower, upper)
     return positions
+
+
+def minimise_posture_errors(
+    arm: Arm, problem: PostureProblem, positions: Array, good: float, steps: int = POSTURE_SEARCH.steps
+) -> tuple[float, float]:
+    """Minimise the squared errors of points and chords by damped least squares within limits.
+
+    Args:
+        arm: the arm.
+        problem: points, chords and limits.
+        positions: joint positions to start at, (nv,) [rad or m]; filled with the final ones.
+        good: mean error at which the search ends [m].
+        steps: largest number of steps.
+
+    Returns:
+        The sum of squares [m^2] and the mean error [m] at the end.
+    """
+    least_stiffness = 1e-12 * arm.length**2
+    settings = POSTURE_SEARCH._replace(good=good, least_stiffness=least_stiffness, steps=steps)
+    return kernels.minimise_posture_errors(problem, settings, positions)
 
 
 class PointFilter:

@@ -7,13 +7,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.control.limits import StepBounds
 from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH
-from pinposture.kernels.arrays import PostureProblem, SearchSettings
+from pinposture.kernels.arrays import PostureProblem
+from pinposture.placement.points import minimise_posture_errors
 
 Array = NDArray[np.float64]
 
@@ -476,23 +476,7 @@ def _search(
         chords=chain.chords,
         normal=chain.normal,
     )
-    settings = SearchSettings(
-        good=good,
-        largest_error=arm.length / arm.n_modules,
-        largest_step=DESCENT.search_step,
-        damping_share=DESCENT.damping_share,
-        stiffness_share=0.0,
-        least_damping=DESCENT.least_damping,
-        least_stiffness=1e-12 * arm.length**2,
-        decrease=DESCENT.decrease,
-        increase=DESCENT.increase,
-        least_factor=DESCENT.least_factor,
-        most_factor=DESCENT.most_factor,
-        converged=DESCENT.converged,
-        idle=DESCENT.idle_steps,
-        steps=steps,
-    )
-    return kernels.minimise_posture_errors(problem, settings, positions)
+    return minimise_posture_errors(arm, problem, positions, good, steps)
 
 
 def damped_hessian(matrix: Array, damping: float) -> Array:
