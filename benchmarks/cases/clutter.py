@@ -1,9 +1,11 @@
-"""Path planning among obstacles: random problems of nine kinds."""
+"""Path planning among obstacles: random problems of ten kinds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,12 @@ PIPE_BEGINS, PIPE_RADIUS = 0.3, 0.05
 
 POINT_RADIUS = 0.006
 """Radius of the points of the scanned machine [m]."""
+
+GAP, THICKNESS = 0.032, 0.01
+"""Half the width of the gap in the closed wall about the base, and radius of the arm there [m]."""
+
+ONWARD = 0.25
+"""How much farther than the tip of another arm a curve leads, relative to the length of the arm."""
 
 MAX_DRAWS, MAX_REACHES = 5000, 200
 """Maximum number of draws of a problem, and of goals tried in one machine."""
@@ -150,6 +158,26 @@ def _coil(arm: Arm, rng: np.random.Generator) -> Drawn:
     return {}, starts, goals
 
 
+def _closed(arm: Arm, rng: np.random.Generator) -> Drawn:
+    """Draw a wall through the base, closed but for the arm, with the start above and the goal below.
+
+    There is no way. On one, the tip would pass through the plane of the wall, and only within the gap: there
+    it is at most sqrt(2) (GAP - THICKNESS - CLUTTER_MARGIN) = 24.0 mm from the base, but the first link,
+    which begins at the base, keeps the tip 2 THICKNESS + CLUTTER_MARGIN = 25 mm away.
+    """
+    wide = 1.2
+    wall: dict[str, Obstacle] = {
+        "ahead": Box((GAP + 0.5 * wide, 0.0, 0.0), (wide, 2.0 * wide, 0.02)),
+        "behind": Box((-GAP - 0.5 * wide, 0.0, 0.0), (wide, 2.0 * wide, 0.02)),
+        "left": Box((0.0, GAP + 0.5 * wide, 0.0), (2.0 * GAP, wide, 0.02)),
+        "right": Box((0.0, -GAP - 0.5 * wide, 0.0), (2.0 * GAP, wide, 0.02)),
+    }
+    above, below = smooth_configuration(arm, rng, 1.0), smooth_configuration(arm, rng, 1.0)
+    above[0] -= rng.uniform(1.2, 1.9)  # about y: up
+    below[0] += rng.uniform(1.2, 1.9)
+    return wall, above, below
+
+
 KINDS_OF_CLUTTER: Mapping[str, Callable[[Arm, np.random.Generator], Drawn]] = MappingProxyType(
     {
         "balls": _balls,
@@ -161,9 +189,13 @@ KINDS_OF_CLUTTER: Mapping[str, Callable[[Arm, np.random.Generator], Drawn]] = Ma
         "pipe": _pipe,
         "machine": _machine,
         "coil": _coil,
+        "closed": _closed,
     }
 )
 """Functions that draw a problem of each kind."""
+
+WITHOUT_A_WAY = ("closed",)
+"""Kinds in which no path leads from the start to the goal, by proof."""
 
 
 def draw_problem(arm: Arm, kind: str, seed: int) -> Problem:
@@ -180,11 +212,40 @@ def draw_problem(arm: Arm, kind: str, seed: int) -> Problem:
         if start is None or goal is None:
             continue
         scene = Scene(obstacles, self_collision=not obstacles, margin=CLUTTER_MARGIN)
+        if kind in WITHOUT_A_WAY:
+            scene = replace(scene, self_collision=True, arm_radius=THICKNESS)
         with no_warnings():
             model = CollisionModel(arm, scene)
         if min(model.minimum(q).distance for q in (start, goal)) > CLUTTER_MARGIN + SPARE_CLEARANCE:
             return Problem(arm, start, Target.from_configuration(arm, goal), scene)
     raise InvalidValue("seed", seed, f"one with a clear start and goal in {MAX_DRAWS} draws")
+
+
+def with_joints(problem: Problem, joints: int) -> Problem | None:
+    """Return a problem with an arm of more joints, an even number, in the same postures.
+
+    An arm of more joints has fewer zigzags, so that its tip is farther along, straight on. None if a posture
+    is impossible or too close.
+    """
+    if joints == problem.arm.nv:
+        return problem
+    arm = Arm.from_template("RyRz", joints // 2, (1.0 / joints, 1.0 / joints))
+    goal = problem.target.q
+    assert problem.scene is not None and goal is not None
+    with no_warnings():
+        model = CollisionModel(arm, problem.scene)
+    postures = []
+    for q in (problem.start, goal):
+        state = problem.arm.chain_at(q)
+        tip = state.points[-1]
+        onward = tip - state.origins[-1]
+        beyond = tip + ONWARD * arm.length * onward / np.linalg.norm(onward)
+        curve = Curve.spline(np.vstack([state.origins[::2], tip, beyond]))
+        posture = _posture_along(arm, curve, "sequential")
+        if posture is None or model.minimum(posture).distance <= CLUTTER_MARGIN + SPARE_CLEARANCE / 2:
+            return None
+        postures.append(posture)
+    return Problem(arm, postures[0], Target.from_configuration(arm, postures[1]), problem.scene)
 
 
 def _away_from_base(rng: np.random.Generator, count: int, axes: int) -> list[Array]:
@@ -236,10 +297,10 @@ def _posture_on(arm: Arm, points: Sequence[tuple[float, float, float]]) -> Array
     return _posture_along(arm, Curve.spline(np.array([(0.0, 0.0, 0.0), (0.12, 0.0, 0.0), *points])))
 
 
-def _posture_along(arm: Arm, curve: Curve) -> Array | None:
+def _posture_along(arm: Arm, curve: Curve, method: Literal["auto", "sequential"] = "auto") -> Array | None:
     with no_warnings():
         try:
-            return resolve_targets(arm, curve, placement="as_is").q
+            return resolve_targets(arm, curve, placement="as_is", method=method).q
         except PostureError:
             return None
 

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases.clutter import CLUTTER_MARGIN, KINDS_OF_CLUTTER, SPARE_CLEARANCE, draw_problem
+from benchmarks.cases.clutter import KINDS_OF_CLUTTER, draw_problem, with_joints
 from benchmarks.cases.situations import situation_arm
 from benchmarks.harness import Problem
 from benchmarks.peers import environments
@@ -38,12 +38,8 @@ from benchmarks.peers.bench import SINGLE
 from benchmarks.peers.planner import RESOLUTION, Found
 from benchmarks.studies.clutter import dense_clearance
 from pinposture.arm import Arm
-from pinposture.collision import CollisionModel
-from pinposture.curve import Curve
-from pinposture.errors import PostureError, no_warnings
 from pinposture.kernels import load
 from pinposture.motion.run import path_length_ratio
-from pinposture.placement import Target, resolve_targets
 
 Array = NDArray[np.float64]
 
@@ -55,9 +51,6 @@ NEARLY = 1e-3
 
 WARM_UP = 100_000
 """Seed of the problem that does not count; those of the others are below."""
-
-ONWARD = 0.25
-"""How much farther than the tip of another arm a curve leads, relative to the length of the arm."""
 
 MOST_DRAWS = 10
 """Most draws for each problem."""
@@ -83,39 +76,11 @@ def ratio_of(arm: Arm, q: Array | None) -> float | None:
     )
 
 
-def with_joints(problem: Problem, arm: Arm) -> Problem | None:
-    """Return a problem with another arm in the same postures; None if one is impossible or too close.
-
-    An arm of more joints has fewer zigzags, so that its tip is farther along, straight on.
-    """
-    ends = []
-    for q in (problem.start, problem.target.q):
-        state = problem.arm.chain_at(q)
-        tip = state.points[-1]
-        onward = tip - state.origins[-1]
-        beyond = tip + ONWARD * arm.length * onward / np.linalg.norm(onward)
-        curve = Curve.spline(np.vstack([state.origins[::2], tip, beyond]))
-        with no_warnings():
-            try:
-                ends.append(resolve_targets(arm, curve, placement="as_is", method="sequential").q)
-            except PostureError:
-                return None
-            if (
-                CollisionModel(arm, problem.scene).minimum(ends[-1]).distance
-                <= CLUTTER_MARGIN + SPARE_CLEARANCE / 2
-            ):
-                return None
-    return Problem(arm, ends[0], Target.from_configuration(arm, ends[1]), problem.scene)
-
-
 def drawn(kind: str, first: int, count: int, joints: int) -> Iterator[tuple[int, Problem]]:
     """Draw a number of problems of an arm of a number of joints, with their seeds."""
     arm = situation_arm()
-    finer = None if joints == arm.nv else Arm.from_template("RyRz", joints // 2, (1.0 / joints, 1.0 / joints))
     for seed in range(first, first + MOST_DRAWS * count):
-        problem: Problem | None = draw_problem(arm, kind, seed)
-        if finer is not None:
-            problem = with_joints(problem, finer)
+        problem = with_joints(draw_problem(arm, kind, seed), joints)
         if problem is not None:
             yield seed, problem
             count -= 1

@@ -1,4 +1,4 @@
-"""Planning among obstacles: random problems of nine kinds, planned, run, and judged."""
+"""Planning among obstacles: random problems of ten kinds, planned, run, and judged."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from functools import partial
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases.clutter import KINDS_OF_CLUTTER, draw_problem
+from benchmarks.cases.clutter import KINDS_OF_CLUTTER, WITHOUT_A_WAY, draw_problem, with_joints
 from benchmarks.cases.situations import situation_arm
 from benchmarks.harness import Case, Problem, Row, Study, check_study, count, spread, summarise
 from benchmarks.report import Report, SeedOption, StudyOptions, split_names, spread_cell, table
@@ -25,6 +25,7 @@ from pinposture.cli.inputs import MOST_RUNS, MOTION
 from pinposture.cli.output import examples, print_note
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, JointPath, Limits, plan
+from pinposture.errors import InvalidValue
 from pinposture.motion import Run, track
 from pinposture.motion.run import path_length_ratio
 
@@ -38,38 +39,53 @@ DENSE_TURN = 0.01
 
 MAX_RUN_STEPS = 6000
 
+JOINTS = 40
+MOST_JOINTS = 1000
+"""Least and largest number of joints; the first is that of `situation_arm`."""
+
 RUN_LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
 
 
 def study_clutter(
-    kinds: Sequence[str] = tuple(KINDS_OF_CLUTTER), seeds: int = 10, first_seed: int = 0
+    kinds: Sequence[str] = tuple(KINDS_OF_CLUTTER), seeds: int = 10, first_seed: int = 0, joints: int = JOINTS
 ) -> Study:
-    """Solve problems of several kinds with an arm of 20 modules, 1 m.
+    """Solve problems of several kinds with an arm of 1 m.
 
     Args:
         kinds: some of `KINDS_OF_CLUTTER`.
         seeds: number of problems of each kind.
         first_seed: seed of the first.
+        joints: number of joints of the arm, even; with others than 40, some postures are impossible, and
+            their problems do not count.
 
     Raises:
         InvalidValue: no kind, or invalid numbers.
         UnknownName: there is no such kind.
     """
-    cases = cases_of_clutter(kinds, seeds, first_seed)
-    return Study(cases, [Geodesic()], solve_problem)
+    cases = cases_of_clutter(kinds, seeds, first_seed, joints)
+    return Study(cases, [Geodesic()], _solve_drawn)
 
 
-def cases_of_clutter(kinds: Sequence[str], seeds: int, first_seed: int) -> list[Case]:
-    """Return problems for an arm of 20 modules, 1 m; arguments and errors as for `study_clutter`."""
+def cases_of_clutter(kinds: Sequence[str], seeds: int, first_seed: int, joints: int = JOINTS) -> list[Case]:
+    """Return problems for an arm of 1 m; arguments and errors as for `study_clutter`."""
     check_study(first_seed, seeds=seeds, kinds=kinds)
+    if joints % 2 or joints < JOINTS:
+        raise InvalidValue("joints", joints, f"an even number, {JOINTS} or more")
     for kind in kinds:
         require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
-    arm = situation_arm()
     return [
-        Case({"kind": kind, "seed": seed}, partial(draw_problem, arm, kind, seed))
+        Case({"kind": kind, "seed": seed}, partial(_draw, kind, seed, joints))
         for kind in kinds
         for seed in range(first_seed, first_seed + seeds)
     ]
+
+
+def _draw(kind: str, seed: int, joints: int) -> Problem | None:
+    return with_joints(draw_problem(situation_arm(), kind, seed), joints)
+
+
+def _solve_drawn(problem: Problem | None, controller: Controller) -> Row | None:
+    return None if problem is None else solve_problem(problem, controller)
 
 
 def solve_problem(problem: Problem, controller: Controller) -> Row:
@@ -79,8 +95,8 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
         found_by: how the path was found, see `JointPath.found_by`.
         planned: whether the plan is reported as collision-free.
         blocked_by: what it comes too close to, if not.
-        first_time: wall time until a first clear path is known, or until planning ends [s].
-        plan_time: wall time for planning [s].
+        first_time: processor time until a first clear path is known, or until planning ends [s].
+        plan_time: processor time for planning [s].
         path_length_ratio: path length of the control points on the plan relative to straight lines.
         plan_clearance: smallest distance on the plan, every 0.01 rad [m].
         reached: whether `track` reached the goal within its velocity and acceleration limits.
@@ -93,13 +109,13 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
     state = arm.at(start)
     clear: list[float] = []
 
-    def note(_: str, elapsed: float, best: JointPath | None) -> None:
+    def note(_: str, __: float, best: JointPath | None) -> None:
         if best is not None:
-            clear.append(elapsed)
+            clear.append(process_time() - began)
 
-    began = perf_counter()
+    began = process_time()
     path = plan(state, target, scene, RUN_LIMITS, progress=note)
-    took = perf_counter() - began
+    took = process_time() - began
     run = run_problem(problem, controller)
     points = np.array([arm.chain_at(q).points for q in path.configurations])
     return Row(
@@ -142,8 +158,8 @@ def by_kind(rows: Sequence[Row]) -> list[Row]:
 
     Returns:
         For each: the number of problems, of those planned, and of those reached; the smallest distance in
-        any run that reached the goal, minus the margin (clearance) [m]; the spreads of the times for a
-        first path and for planning, and of path length ratio; and the number of plans found by each method.
+        any run, minus the margin (clearance) [m]; the spreads of the times for a first path and for
+        planning, and of path length ratio; and the number of plans found by each method.
     """
     return summarise(
         rows,
@@ -151,13 +167,11 @@ def by_kind(rows: Sequence[Row]) -> list[Row]:
         problems=len,
         planned=count(lambda row: row.planned),
         reached=count(lambda row: row.reached),
-        clearance=lambda own: min(
-            (row.run_clearance - row.margin for row in own if row.reached), default=np.inf
-        ),
+        clearance=lambda rows: min(row.run_clearance - row.margin for row in rows),
         first_time=spread("first_time"),
         plan_time=spread("plan_time"),
         path_length_ratio=spread("path_length_ratio"),
-        found_by=lambda own: dict(Counter(row.found_by for row in own)),
+        found_by=lambda rows: dict(Counter("no way" if row.blocked_by else row.found_by for row in rows)),
     )
 
 
@@ -182,43 +196,54 @@ def run(
     kinds: Annotated[
         str | None,
         MOTION(
-            "Some of: balls, posts, hole, two-walls, shelf, corner, pipe, machine, coil; else all.",
+            "Some of: balls, posts, hole, two-walls, shelf, corner, pipe, machine, coil, closed; else all.",
             "NAME,...",
         ),
     ] = None,
     seeds: Annotated[int, MOTION("Number of problems of each kind.", "N", max=MOST_RUNS)] = 10,
     seed0: SeedOption = 0,
+    joints: Annotated[
+        int, MOTION("Number of joints, even, 40 or more.", "N", min=JOINTS, max=MOST_JOINTS)
+    ] = JOINTS,
     options: StudyOptions,
 ) -> None:
-    """Plan and run motions of 20 RyRz modules, 1 m, past obstacles.
+    """Plan and run motions of an arm of RyRz modules, 1 m, past obstacles.
 
     40 balls; 30 posts; a hole of 15 cm in a wall; two walls with offset holes; a shelf with 16 bays; a narrow
-    corner; a pipe with two bends; a scanned machine with a hole in front; the arm itself, coiled. Start and
-    goal are drawn until they are clear, by code that does not plan. A third of the starts are inside the
-    hole, the pipe or the machine.
+    corner; a pipe with two bends; a scanned machine with a hole in front; the arm itself, coiled; a closed
+    wall about the base, with the goal on the other side, where no way exists. Start and goal are drawn until
+    they are clear, by code that does not plan. A third of the starts are inside the hole, the pipe or the
+    machine.
 
-    Room is the smallest distance in runs that reached the goal, every 0.01 rad, minus the margin. The times
-    until a first clear path is known and for the plan, and the path length ratio of the plan, are median
-    (90th percentile). Unsolved problems are listed. With
-    -o, an animation of the first problem of each kind is also saved.
+    Room is the smallest distance in runs, every 0.01 rad, minus the margin. The processor times until a first
+    clear path is known and for the plan, and the path length ratio of the plan, are median (90th percentile).
+    Problems that are unsolved, though a way exists, are listed, and those that are solved though none does.
+    With -o, an animation of the first problem of each kind is also saved.
     """
     from pinposture.viz import save_html
 
     names = split_names("--kinds", kinds, KINDS_OF_CLUTTER)
-    rows = options.run(study_clutter(names, seeds, seed0), "problem")
+    rows = options.run(study_clutter(names, seeds, seed0, joints), "problem")
     summary = by_kind(rows)
     arm, folder = situation_arm(), options.output
     shown = {} if folder is None else {each: run_problem(draw_problem(arm, each, seed0)) for each in names}
     options.write(
         Report(
             rows,
-            {"study": "clutter", "kinds": names, "seeds": seeds, "seed0": seed0, "rows": summary},
+            {
+                "study": "clutter",
+                "kinds": names,
+                "seeds": seeds,
+                "seed0": seed0,
+                "joints": joints,
+                "rows": summary,
+            },
             [table(_COLUMNS, summary)],
             {"clutter": lambda _: draw_clutter(shown)},
             warnings=[
                 f"{row.kind}, seed {row.seed}: {row.blocked_by or row.reason}"
                 for row in rows
-                if not row.reached
+                if row.reached == (row.kind in WITHOUT_A_WAY)
             ],
         )
     )
