@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinposture as pp
-from benchmarks.cases.clutter import KINDS_OF_CLUTTER, draw_problem
+from benchmarks.cases.clutter import KINDS_WITH_A_WAY, draw_problem
 from benchmarks.cases.scenarios import SCENARIOS, case
 from benchmarks.cases.situations import situation_arm
 from benchmarks.reproduce.runs import thesis_arm
@@ -233,7 +233,7 @@ def wrapped() -> Figure:
 def clutter() -> Figure:
     """A problem of each kind of `make study STUDY=clutter`, and its run."""
     arm = situation_arm()
-    return draw_clutter({kind: run_problem(draw_problem(arm, kind, 0)) for kind in KINDS_OF_CLUTTER})
+    return draw_clutter({kind: run_problem(draw_problem(arm, kind, 0)) for kind in KINDS_WITH_A_WAY})
 
 
 def between() -> Figure:

@@ -197,6 +197,9 @@ KINDS_OF_CLUTTER: Mapping[str, Callable[[Arm, np.random.Generator], Drawn]] = Ma
 WITHOUT_A_WAY = ("closed",)
 """Kinds in which no path leads from the start to the goal, by proof."""
 
+KINDS_WITH_A_WAY = tuple(kind for kind in KINDS_OF_CLUTTER if kind not in WITHOUT_A_WAY)
+"""All others."""
+
 
 def draw_problem(arm: Arm, kind: str, seed: int) -> Problem:
     """Draw problems for the arm of `situation_arm` until start and goal are clear, without planning.

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases.clutter import KINDS_OF_CLUTTER, draw_problem, with_joints
+from benchmarks.cases.clutter import KINDS_WITH_A_WAY, draw_problem, with_joints
 from benchmarks.cases.situations import situation_arm
 from benchmarks.harness import Problem
 from benchmarks.peers import environments
@@ -165,7 +165,7 @@ def parsed() -> argparse.Namespace:
     """The command line."""
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
-    parser.add_argument("--kinds", default=",".join(KINDS_OF_CLUTTER))
+    parser.add_argument("--kinds", default=",".join(KINDS_WITH_A_WAY))
     parser.add_argument("--seeds", type=int, default=5, help="problems of each kind")
     parser.add_argument("--seed0", type=int, default=0, help="the first one")
     parser.add_argument("--joints", type=int, default=40, help="of an arm of the same length; an even number")

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases.clutter import KINDS_OF_CLUTTER
+from benchmarks.cases.clutter import KINDS_WITH_A_WAY
 from benchmarks.harness import Problem, Row, Study, count, spread, summarise
 from benchmarks.report import Report, SeedOption, StudyOptions, split_names, spread_cell, table
 from benchmarks.studies.clutter import RUN_LIMITS, cases_of_clutter, dense_clearance
@@ -35,9 +35,7 @@ MAX_DRAWS = 200
 """Most draws of a ball."""
 
 
-def study_repair(
-    kinds: Sequence[str] = tuple(KINDS_OF_CLUTTER), seeds: int = 10, first_seed: int = 0
-) -> Study:
+def study_repair(kinds: Sequence[str] = KINDS_WITH_A_WAY, seeds: int = 10, first_seed: int = 0) -> Study:
     """Cut paths through clutter, of the kinds and seeds of `study_clutter`, and repair them.
 
     Raises:
@@ -156,7 +154,7 @@ def run(
     (90th percentile). Room is the smallest distance on a repaired path and the curve through it, every 0.01
     rad, minus the margin.
     """
-    names = split_names("--kinds", kinds, KINDS_OF_CLUTTER)
+    names = split_names("--kinds", kinds, KINDS_WITH_A_WAY)
     rows = options.run(study_repair(names, seeds, seed0), "problem")
     summary = by_kind(rows)
     options.write(

@@ -348,10 +348,6 @@ class Avoidance:
         """Whether there are torque limits, and neither a scene nor constraints."""
         return self.clearance.scene is _no_obstacles() and not self.constraints
 
-    def for_objective(self, objective: Objective) -> Avoidance:
-        """Return the avoidance for another objective and an arm at rest."""
-        return Avoidance(self.clearance, objective, self._bounds)
-
     def tolerating(self, *states: ChainState) -> Avoidance:
         """Return the avoidance for a path that begins and ends at states, which may violate constraints."""
         if not self.constrained:
