@@ -122,6 +122,10 @@ class PlanSettings(NamedTuple):
     """The same if the search has ended without a path. Of 295 problems of clutter with a way, the search of
     none did; of one with 400 joints that it missed, four relaxations found no path either."""
 
+    most_relaxed_joints: int = 400
+    """Number of joints above which no path is relaxed where the tree search found none: with 1,000 joints
+    beside a closed wall a step of a relaxation takes 3 s of processor time, the whole search 2 s."""
+
     most_detour: float = 2.0
     """Length of a clear path, relative to the most direct one, above which the search looks for a
     shorter one."""
@@ -563,19 +567,20 @@ class _Candidates:
 
         The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
         none is clear, further relaxed paths. The tree search comes before the first relaxation, which is left
-        out if an end is trapped. What is found is told at once. With tasks, which a search would disregard,
-        it comes after the first relaxation.
+        out if the search finds no path and an end is trapped, or the arm has many joints. What is found is
+        told at once. With tasks, which a search would disregard, it comes after the first relaxation.
         """
         search = self._search
         variant = 2 * attempt
         count = PLAN.paths // (1 + attempt)
+        too_many = len(search.problem.objective.columns) > PLAN.most_relaxed_joints
         found = None
         hopeless = False
         if self._tasks is None:
             if attempt == 0:
                 yield self._most_direct
             found = self._keep(search.connect(self._search_tells))
-            hopeless = found is None and search.is_trapped
+            hopeless = found is None and (search.is_trapped or too_many)
         if not hopeless:
             yield self._relax(0, variant, count)
         if found is None:
@@ -583,7 +588,7 @@ class _Candidates:
         if found is not None:
             yield from self._relax_found(found)
         else:
-            count = min(count, PLAN.hopeless_paths)
+            count = 0 if hopeless and too_many else min(count, PLAN.hopeless_paths)
         for k in range(int(not hopeless), count):
             if not self._clear:
                 yield self._relax(k, variant, count)
