@@ -54,7 +54,7 @@ Drawn = tuple[dict[str, Obstacle], Array | None, Array | None]
 def _balls(arm: Arm, rng: np.random.Generator) -> Drawn:
     places = _away_from_base(rng, 40, 3)
     return (
-        {f"ball{k}": Sphere(tuple(place), 0.06) for k, place in enumerate(places)},
+        {f"ball{k}": Sphere(tuple(center), 0.06) for k, center in enumerate(places)},
         smooth_configuration(arm, rng, 1.0),
         smooth_configuration(arm, rng, 1.0),
     )
@@ -254,9 +254,9 @@ def with_joints(problem: Problem, joints: int) -> Problem | None:
 def _away_from_base(rng: np.random.Generator, count: int, axes: int) -> list[Array]:
     places: list[Array] = []
     while len(places) < count:
-        place = rng.uniform(-0.75, 0.75, axes)
-        if np.linalg.norm(place) > 0.16:
-            places.append(place)
+        point = rng.uniform(-0.75, 0.75, axes)
+        if np.linalg.norm(point) > 0.16:
+            places.append(point)
     return places
 
 
@@ -278,16 +278,16 @@ def _triple(rng: np.random.Generator, low: float | Vector, high: float | Vector)
 
 def _on_surface(box: Box) -> Array:
     """Return points on the surface of a box, (n, 3), no farther apart than the diameter of their balls."""
-    half, found = 0.5 * np.array(box.size), []
+    half, faces = 0.5 * np.array(box.size), []
     for axis in range(3):
         others = [k for k in range(3) if k != axis]
         along = [np.linspace(-half[k], half[k], 2 + int(half[k] / (0.7 * POINT_RADIUS))) for k in others]
-        first, second = (each.ravel() for each in np.meshgrid(*along))
+        first, second = (grid.ravel() for grid in np.meshgrid(*along))
         for side in (-half[axis], half[axis]):
             face = np.empty((len(first), 3))
             face[:, axis], face[:, others[0]], face[:, others[1]] = side, first, second
-            found.append(face)
-    return np.asarray(np.concatenate(found) @ np.array(box.rotation).T + np.array(box.center))
+            faces.append(face)
+    return np.asarray(np.concatenate(faces) @ np.array(box.rotation).T + np.array(box.center))
 
 
 def _in_bay(column: int, row: int) -> list[tuple[float, float, float]]:

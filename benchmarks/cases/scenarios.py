@@ -74,7 +74,7 @@ FURTHER_SCENARIOS = (
 """Cases that the thesis mentions but does not show: other targets, leaving and passing singular postures."""
 
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
-    {each.name: each for each in SPATIAL_SCENARIOS + PLANAR_SCENARIOS + FURTHER_SCENARIOS}
+    {scenario.name: scenario for scenario in SPATIAL_SCENARIOS + PLANAR_SCENARIOS + FURTHER_SCENARIOS}
 )
 """All of the above by name."""
 
@@ -111,8 +111,8 @@ def _module_turns(arm: Arm, start: Array, goal: Array) -> Array:
     """Return the rotation vectors of the modules between two configurations, summed along the arm, (m, 3)."""
     changes = arm.at(goal).rotations @ arm.at(start).rotations.transpose(0, 2, 1)
     before = np.concatenate([np.eye(3)[None], changes[:-1]])
-    own = Rotation.from_matrix(changes @ before.transpose(0, 2, 1)).as_rotvec()
-    return np.asarray(np.cumsum(own, axis=0))
+    turns = Rotation.from_matrix(changes @ before.transpose(0, 2, 1)).as_rotvec()
+    return np.asarray(np.cumsum(turns, axis=0))
 
 
 POSTURE_AMPLITUDES = (0.2, 1.0)

@@ -176,7 +176,7 @@ def _listed() -> list[Situation]:
     ]
 
 
-SITUATIONS: Mapping[str, Situation] = MappingProxyType({each.name: each for each in _listed()})
+SITUATIONS: Mapping[str, Situation] = MappingProxyType({situation.name: situation for situation in _listed()})
 """The situations by name.
 
 post: a vertical post between start and target, which the arm must go around.

@@ -56,12 +56,12 @@ def carried_bodies(arm: Arm, scene: Scene) -> tuple[Body, ...]:
     Raises:
         UnknownName: the arm has no such frame.
     """
-    found = []
+    bodies = []
     for name, carried in scene.carried.items():
         frame = find_frame(arm.model, carried.frame)
         held = displaced(scene.obstacles[name], frame.placement * carried.placement.inverse())
-        found.append(Body(name, int(frame.parentJoint), held.geometry))
-    return tuple(found)
+        bodies.append(Body(name, int(frame.parentJoint), held.geometry))
+    return tuple(bodies)
 
 
 def frame_pose(arm: Arm, q: Array, name: str) -> pin.SE3:

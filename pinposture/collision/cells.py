@@ -38,9 +38,9 @@ class Cells(Scan):
     def of(cls, centers: Array, resolution: float) -> Cells:
         """Return the cells with given centres, (n, 3) [m], and edge lengths [m]; nothing is checked."""
         cells = object.__new__(cls)
-        for each in fields(Scan):
-            value = None if each.name in ("faces", "colors", "path", "outlier_distance") else each.default
-            set_fields(cells, **{each.name: value})
+        for item in fields(Scan):
+            value = None if item.name in ("faces", "colors", "path", "outlier_distance") else item.default
+            set_fields(cells, **{item.name: value})
         make_read_only(centers)
         radius = 0.5 * math.sqrt(3.0) * resolution
         set_fields(cells, points=centers, name="map", point_radius=radius, rotation=UNTURNED)
@@ -54,7 +54,7 @@ class Cells(Scan):
 
     @cached_property
     def _pieces(self) -> list[Solid]:
-        return [each._replace(coarse=True) for each in super().solids()]
+        return [solid._replace(coarse=True) for solid in super().solids()]
 
     def solids(self) -> list[Solid]:
         """Return the pieces of its surface, of which there are always as many."""

@@ -75,9 +75,9 @@ class TreeKinematics:
         positions, others = self.positions(q, offsets)
         count = len(positions)
         joints = self._model.njoints
-        found = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
-        kernels.place_joints(self.joints, positions, others, found.rotations, found.origins)
-        return found
+        placements = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
+        kernels.place_joints(self.joints, positions, others, placements.rotations, placements.origins)
+        return placements
 
     def frame_pose(self, q: Array, name: str) -> pin.SE3:
         """Return the pose of a link, a control point or a joint at a configuration, (nq,), world frame.
@@ -284,11 +284,11 @@ def _divide_samples(samples: Array, room: Array, tolerance: float, spread: float
     counts = np.clip(np.ceil(moved / np.maximum(room, tolerance)), 2, BUFFERS.parts).astype(np.int64)
     parts = np.repeat(samples, counts, axis=0)
     numbers = np.concatenate([np.arange(0), *(np.arange(k) for k in counts)])
-    each = np.repeat(counts, counts)
-    half = parts[:, 2] / each
-    parts[:, 1] += (2.0 * numbers + 1.0 - each) * half
+    divided = np.repeat(counts, counts)
+    half = parts[:, 2] / divided
+    parts[:, 1] += (2.0 * numbers + 1.0 - divided) * half
     parts[:, 2] = half
-    parts[:, 4] = np.repeat(moved, counts) / each
+    parts[:, 4] = np.repeat(moved, counts) / divided
     return parts
 
 
@@ -321,31 +321,31 @@ class PairDistances:
         self._near = BUFFERS.contacts
         self._solids = [*bodies, *fixed]
         self._joints = list(joints)
-        self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
+        self._fixed = [coal.Transform3s(solid.rotation, solid.position) for solid in fixed]
         self._carriers = np.array(joints, dtype=np.int64)
-        self._local = np.array([[each.start, each.end] for each in bodies]).reshape(-1, 2, 3)
-        self._turns = np.array([each.rotation for each in bodies]).reshape(-1, 3, 3)
-        self._shifts = np.array([each.position for each in bodies]).reshape(-1, 3, 1)
-        kinds = np.array([SEGMENT] * len(bodies) + [each.kind for each in fixed], dtype=np.int64)
-        exact = [each.round for each in bodies] + [each.exact for each in fixed]
+        self._local = np.array([[solid.start, solid.end] for solid in bodies]).reshape(-1, 2, 3)
+        self._turns = np.array([solid.rotation for solid in bodies]).reshape(-1, 3, 3)
+        self._shifts = np.array([solid.position for solid in bodies]).reshape(-1, 3, 1)
+        kinds = np.array([SEGMENT] * len(bodies) + [solid.kind for solid in fixed], dtype=np.int64)
+        exact = [solid.round for solid in bodies] + [solid.exact for solid in fixed]
         self._kinds = kinds
         self._exact = np.array(exact, dtype=np.bool_)
-        self._coarse = np.array([False] * len(bodies) + [each.coarse for each in fixed], dtype=np.bool_)
+        self._coarse = np.array([False] * len(bodies) + [solid.coarse for solid in fixed], dtype=np.bool_)
         deep = np.zeros(len(fixed)) if depths is None else np.asarray(depths, dtype=np.float64)
         self._depths = np.concatenate([np.zeros(len(bodies)), deep])
-        round_radii = [each.radius if each.kind in _WITH_RADIUS else 0.0 for each in fixed]
+        round_radii = [solid.radius if solid.kind in _WITH_RADIUS else 0.0 for solid in fixed]
         nothing = np.zeros(0, dtype=np.int64)
         self._arrays = Pairs(
             first=nothing,
             second=nothing,
             kinds=nothing,
             exact=np.zeros(0, dtype=np.bool_),
-            radii=np.array([*(each.radius for each in bodies), *round_radii]) - self._depths,
-            lines=np.array([[each.start, each.end] for each in fixed]).reshape(-1, 2, 3),
-            centers=np.array([each.center for each in fixed]).reshape(-1, 3),
-            frames=np.array([each.rotation for each in fixed]).reshape(-1, 3, 3),
-            halves=np.array([each.half for each in fixed]).reshape(-1, 3),
-            trees=join_trees([each.shape if isinstance(each.shape, tuple) else None for each in fixed]),
+            radii=np.array([*(solid.radius for solid in bodies), *round_radii]) - self._depths,
+            lines=np.array([[solid.start, solid.end] for solid in fixed]).reshape(-1, 2, 3),
+            centers=np.array([solid.center for solid in fixed]).reshape(-1, 3),
+            frames=np.array([solid.rotation for solid in fixed]).reshape(-1, 3, 3),
+            halves=np.array([solid.half for solid in fixed]).reshape(-1, 3),
+            trees=join_trees([solid.shape if isinstance(solid.shape, tuple) else None for solid in fixed]),
             shapes=np.ascontiguousarray(kinds[len(bodies) :]),
             groups=np.zeros((0, 2), dtype=np.int64),
             starts=np.zeros(1, dtype=np.int64),
@@ -398,21 +398,21 @@ class PairDistances:
         other._solids = list(self._solids)
         other._fixed = list(self._fixed)
         arrays = self._arrays._replace(**{name: getattr(self._arrays, name).copy() for name in _PLACES})
-        for k, each in changes.items():
-            other._solids[bodies + k] = each
-            other._fixed[k] = coal.Transform3s(each.rotation, each.position)
+        for k, solid in changes.items():
+            other._solids[bodies + k] = solid
+            other._fixed[k] = coal.Transform3s(solid.rotation, solid.position)
         numbers = list(changes)
         solids = changes.values()
-        arrays.lines[numbers, 0] = [each.start for each in solids]
-        arrays.lines[numbers, 1] = [each.end for each in solids]
-        arrays.centers[numbers] = [each.center for each in solids]
-        arrays.frames[numbers] = [each.rotation for each in solids]
-        arrays.halves[numbers] = [each.half for each in solids]
+        arrays.lines[numbers, 0] = [solid.start for solid in solids]
+        arrays.lines[numbers, 1] = [solid.end for solid in solids]
+        arrays.centers[numbers] = [solid.center for solid in solids]
+        arrays.frames[numbers] = [solid.rotation for solid in solids]
+        arrays.halves[numbers] = [solid.half for solid in solids]
         before = self._solids[bodies:]
         if any(
-            isinstance(each.shape, tuple) and each.shape != before[k].shape for k, each in changes.items()
+            isinstance(solid.shape, tuple) and solid.shape != before[k].shape for k, solid in changes.items()
         ):
-            shapes = [each.shape for each in other._solids[bodies:]]
+            shapes = [solid.shape for solid in other._solids[bodies:]]
             trees = join_trees([shape if isinstance(shape, tuple) else None for shape in shapes])
             arrays = arrays._replace(trees=trees)
         other._arrays = arrays
@@ -430,13 +430,13 @@ class PairDistances:
 
     def open_pieces(self, center: Array) -> list[Piece]:
         """Return the pieces of surfaces without a closed form, those nearest to a place, (3,) [m], first."""
-        found = []
+        ranked = []
         for number in np.unique(self.second[~self._arrays.exact]):
-            each = self._solids[number]
-            if isinstance(each.shape, tuple):
-                offset = np.abs(each.rotation.T @ (center - each.center)) - each.half
-                found.append((float(np.linalg.norm(np.maximum(offset, 0.0))), int(number)))
-        pieces = [self._solids[number].shape for _, number in sorted(found)]
+            solid = self._solids[number]
+            if isinstance(solid.shape, tuple):
+                offset = np.abs(solid.rotation.T @ (center - solid.center)) - solid.half
+                ranked.append((float(np.linalg.norm(np.maximum(offset, 0.0))), int(number)))
+        pieces = [self._solids[number].shape for _, number in sorted(ranked)]
         return [piece for piece in pieces if isinstance(piece, tuple)]
 
     def near(self, placements: Placements, within: float) -> NearPairs:
@@ -468,7 +468,7 @@ class PairDistances:
         distances = numbers[0, :count]
         normals = vectors[1, :count]
         points = vectors[0, :count] - normals * self._arrays.radii[self.first[near], None]
-        found: list[tuple[int, Contact]] = []
+        contacts: list[tuple[int, Contact]] = []
         poses = self._pose_bodies(placements, 0) if opened else None
         for at in np.argsort(bounds[:opened], kind="stable"):
             k = int(open_pairs[at])
@@ -480,12 +480,12 @@ class PairDistances:
                 best = contact.distance
                 pair = k
             if contact.distance < within:
-                found.append((k, contact))
-        if found:
-            near = np.concatenate([near, [k for k, _ in found]])
-            distances = np.concatenate([distances, [each.distance for _, each in found]])
-            points = np.concatenate([points, [each.point for _, each in found]])
-            normals = np.concatenate([normals, [each.normal for _, each in found]])
+                contacts.append((k, contact))
+        if contacts:
+            near = np.concatenate([near, [k for k, _ in contacts]])
+            distances = np.concatenate([distances, [contact.distance for _, contact in contacts]])
+            points = np.concatenate([points, [contact.point for _, contact in contacts]])
+            normals = np.concatenate([normals, [contact.normal for _, contact in contacts]])
         order = np.argsort(distances, kind="stable")
         return NearPairs(near[order], distances[order], points[order], normals[order], best, pair)
 
@@ -659,8 +659,8 @@ class PairDistances:
         numbers = np.arange(len(samples))
         bodies = np.append(self.first[pairs], np.minimum(self.second[pairs], len(self._joints) - 1))
         poses = self._pose_bodies(placements, np.tile(numbers, 2), bodies)
-        found = self._measure(pairs, poses, np.column_stack([numbers, numbers + len(samples)]))
-        return np.where(np.isnan(found), samples[:, 5], found)  # the bounds are on the safe side
+        measured = self._measure(pairs, poses, np.column_stack([numbers, numbers + len(samples)]))
+        return np.where(np.isnan(measured), samples[:, 5], measured)  # the bounds are on the safe side
 
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
         """Find the pairs nearer than a distance at several configurations; for gradients, not for checks.
@@ -677,7 +677,7 @@ class PairDistances:
         minima = np.empty(len(positions))
         while True:
             room = self._near * len(positions)
-            found = Contacts(
+            contacts = Contacts(
                 samples=np.empty(room, dtype=np.int64),
                 distances=np.empty(room),
                 carrying=np.empty((room, 2), dtype=np.int64),
@@ -693,10 +693,10 @@ class PairDistances:
                 positions,
                 others,
                 within,
-                found,
+                contacts,
             )
             if count <= room:
-                return Contacts._make([*(each[:count] for each in found[:-1]), minima])
+                return Contacts._make([*(column[:count] for column in contacts[:-1]), minima])
             self._near = 2 * count // len(positions) + 1
 
     def axes(self, pair: int, placements: Placements, place: Array) -> tuple[Array, Array]:
@@ -736,7 +736,7 @@ class PairDistances:
         result = narrow.result
         here, there = narrow.places
         bodies = len(self._joints)
-        found = np.full(len(pairs), np.nan)
+        distances = np.full(len(pairs), np.nan)
         for k, pair in enumerate(pairs.tolist()):
             one = self._solids[self.first[pair]].shape
             other = self._solids[self.second[pair]].shape
@@ -746,19 +746,19 @@ class PairDistances:
             first, second = sides[k]
             here.setRotation(poses.rotations[first])
             here.setTranslation(poses.positions[first])
-            place = there
+            pose = there
             if self.second[pair] >= bodies:
-                place = self._fixed[self.second[pair] - bodies]
+                pose = self._fixed[self.second[pair] - bodies]
             else:
                 there.setRotation(poses.rotations[second])
                 there.setTranslation(poses.positions[second])
             for request in narrow.requests:
                 result.clear()
-                distance = coal.distance(one, here, other, place, request, result)
+                distance = coal.distance(one, here, other, pose, request, result)
                 if abs(distance) < _SOUND:
-                    found[k] = distance - self._left_out[pair]
+                    distances[k] = distance - self._left_out[pair]
                     break
-        return found
+        return distances
 
     def _contact(self, pair: int, poses: Poses, bound: float) -> Contact:
         """Return the contact of a pair, given poses of all bodies; at the bound if coal fails."""

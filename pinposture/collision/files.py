@@ -52,22 +52,22 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
     """
     folders = [Path(folder) for folder in package_dirs]
     candidates: Iterable[Path]
-    scheme, separator, place = filename.partition("://")
+    scheme, separator, address = filename.partition("://")
     if not separator or "/" in scheme:
         # Joining an absolute path to a folder drops the folder.
         candidates = [folder / filename for folder in folders] or [Path(filename)]
     elif scheme.lower() in _FOLDERS:
-        name, _, rest = place.partition("/")
+        name, _, rest = address.partition("/")
         folders = _FOLDERS[scheme.lower()](folders)
         packages = find_packages(unquote(name), folders)
-        candidates = (package / each for package in packages for each in _spelt(rest))
+        candidates = (package / spelling for package in packages for spelling in _spelt(rest))
     elif scheme.lower() == "file":
-        host, _, rest = place.partition("/")
+        host, _, rest = address.partition("/")
         local = host in ("", "localhost")
         candidates = [
-            folder / each
+            folder / spelling
             for folder in ([Path("/")] if local else folders)
-            for each in _spelt(rest if local else place)
+            for spelling in _spelt(rest if local else address)
         ]
     else:
         allowed = "package://, model://, file:///, or a path"
@@ -190,13 +190,13 @@ def _read_text(path: Path) -> ReadScan:
     if start is None:
         raise FileError(path, f"contains no points; allowed: {_LINES}")
     number, first, comment = start
-    mark = next((mark for mark in (";", ",") if mark in first), None)
+    separator = next((separator for separator in (";", ",") if separator in first), None)
     skipped = number - 1
     columns = (0, 1, 2)
-    count = len(first.split(mark))
-    names = _names(comment, mark)
-    if not _are_numbers(first.split(mark)[:3]):
-        names = _names(first, mark)
+    count = len(first.split(separator))
+    names = _names(comment, separator)
+    if not _are_numbers(first.split(separator)[:3]):
+        names = _names(first, separator)
         skipped = number
         if not set(names) >= _XYZ:
             raise FileError(path, f"line {number} is {shown(first)}; allowed: {_LINES}")
@@ -205,10 +205,15 @@ def _read_text(path: Path) -> ReadScan:
         columns = (names.index("x"), names.index("y"), names.index("z"))
     try:
         points = np.loadtxt(
-            io.StringIO(text), delimiter=mark, usecols=columns, comments=_COMMENTS, skiprows=skipped, ndmin=2
+            io.StringIO(text),
+            delimiter=separator,
+            usecols=columns,
+            comments=_COMMENTS,
+            skiprows=skipped,
+            ndmin=2,
         )
     except (ValueError, IndexError) as error:
-        raise FileError(path, _fault(text, skipped, mark, columns) or str(error)) from None
+        raise FileError(path, _fault(text, skipped, separator, columns) or str(error)) from None
     return ReadScan(points)
 
 
@@ -223,9 +228,9 @@ def _first_line(text: str) -> tuple[int, str, str] | None:
     return None
 
 
-def _names(line: str, mark: str | None) -> list[str]:
+def _names(line: str, separator: str | None) -> list[str]:
     """Return column names without units."""
-    words = line.split(mark if mark is not None and mark in line else None)
+    words = line.split(separator if separator is not None and separator in line else None)
     return [word.strip(' \t"').lower().partition("[")[0].partition("(")[0].strip() for word in words]
 
 
@@ -235,12 +240,12 @@ def _without_comment(line: str) -> str:
     return line.strip()
 
 
-def _fault(text: str, skipped: int, mark: str | None, columns: tuple[int, ...]) -> str:
+def _fault(text: str, skipped: int, separator: str | None, columns: tuple[int, ...]) -> str:
     """Describe the first faulty line; empty if there is none."""
     for number, line in enumerate(io.StringIO(text), start=1):
         content = _without_comment(line)
         if content and number > skipped:
-            words = content.split(mark)
+            words = content.split(separator)
             if len(words) <= max(columns) or not _are_numbers([words[column] for column in columns]):
                 return f"line {number} is {shown(content)}; allowed: {_LINES}"
     return ""
@@ -281,8 +286,8 @@ def _read_npz(path: Path) -> ReadScan:
 def _rows(path: Path, name: str, values: NDArray[Any]) -> Array:
     """Return points from an array with x, y, z first in its last axis; depth images have three axes."""
     if values.ndim not in (2, 3) or values.shape[-1] < 3 or values.dtype.kind not in "iuf":
-        found = f"{name} is {values.dtype} {values.shape}"
-        raise FileError(path, f"{found}; allowed: numbers, (n, 3) or (rows, columns, 3)")
+        content = f"{name} is {values.dtype} {values.shape}"
+        raise FileError(path, f"{content}; allowed: numbers, (n, 3) or (rows, columns, 3)")
     return np.asarray(values[..., :3].reshape(-1, 3), dtype=np.float64)
 
 
@@ -379,9 +384,9 @@ def _check_ply(path: Path) -> None:
         if not all(count.isdigit() for count in counts):
             raise FileError(path, "has an element with an invalid count")
         expected = sum(map(int, counts))
-        found = sum(1 for line in file if line.strip())
-    if found != expected:
-        raise FileError(path, f"declares {expected} lines of data, but has {found}")
+        lines = sum(1 for line in file if line.strip())
+    if lines != expected:
+        raise FileError(path, f"declares {expected} lines of data, but has {lines}")
 
 
 SCAN_READERS: Mapping[str, Callable[[Path], ReadScan]] = MappingProxyType(

@@ -269,7 +269,7 @@ class Map:
         if not history or not history[0][0] <= when <= history[-1][0]:
             known = "none" if not history else f"from {history[0][0]!r} to {history[-1][0]!r}"
             raise InvalidValue("time", when, f"a time at which the arm is measured: {known}")
-        times = [each for each, _ in history]
+        times = [time for time, _ in history]
         after = int(np.searchsorted(times, when))
         later, end = history[after]
         if later == when:
@@ -537,11 +537,11 @@ class _OwnBodies:
         self.kinematics = kinematics
         self._margin = margin
         self._joints = np.array([body.joint for body in bodies], dtype=np.int64)
-        self._local = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
-        self._radii = np.array([each.radius for each in solids])
+        self._local = np.array([[solid.start, solid.end] for solid in solids]).reshape(-1, 2, 3)
+        self._radii = np.array([solid.radius for solid in solids])
         objects = CollisionObjects(arm, kinematics, self._joints.tolist(), solids, (), (), len(solids))
         ends = stationary_ends(objects)
-        self._ends = np.array([[place, place] for _, place in ends]).reshape(-1, 2, 3)
+        self._ends = np.array([[point, point] for _, point in ends]).reshape(-1, 2, 3)
         self._end_radii = np.array([self._radii[body] + margin + mount for body, _ in ends])
 
     def covered(self, q: Array) -> tuple[Array, Array]:

@@ -123,16 +123,16 @@ def stationary_ends(objects: CollisionObjects) -> list[tuple[int, Array]]:
 
     Each is a body index and a world position, (3,) [m].
     """
-    ends = np.array([[each.start, each.end] for each in objects.solids]).reshape(-1, 2, 3)
+    ends = np.array([[solid.start, solid.end] for solid in objects.solids]).reshape(-1, 2, 3)
     arm = objects.arm
     joints = np.array(objects.joints, dtype=int)
     rng = np.random.default_rng(0)
-    found = []
+    axes = []
     for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-        rotations, positions = (each[0, joints] for each in objects.kinematics.place(q))
-        found.append(ends @ rotations.swapaxes(1, 2) + positions[:, None])
-    still = np.ptp(found, axis=0).max(axis=2) <= PAIRS.stationary * arm.length  # (bodies, 2)
-    return [(int(body), found[0][body, end]) for body, end in np.argwhere(still & (joints > 0)[:, None])]
+        rotations, positions = (array[0, joints] for array in objects.kinematics.place(q))
+        axes.append(ends @ rotations.swapaxes(1, 2) + positions[:, None])
+    still = np.ptp(axes, axis=0).max(axis=2) <= PAIRS.stationary * arm.length  # (bodies, 2)
+    return [(int(body), axes[0][body, end]) for body, end in np.argwhere(still & (joints > 0)[:, None])]
 
 
 class ExcludedPair(NamedTuple):
@@ -201,16 +201,16 @@ def _choose_pairs(
     moving = [index for index, joint in enumerate(objects.joints) if joint]
     against = [(index, count + k) for index in moving for k in range(len(objects.fixed))]
     against = [pair for pair in against if pair not in beside]
-    own = _self_pairs(arm.model, objects.joints[: objects.own]) if scene.self_collision else []
-    own += _carried_pairs(objects)
-    near = objects.distances(own)
+    internal = _self_pairs(arm.model, objects.joints[: objects.own]) if scene.self_collision else []
+    internal += _carried_pairs(objects)
+    near = objects.distances(internal)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
         limit = PAIRS.margins_apart * scene.margin + PAIRS.stationary * arm.length
-        found = near.near(objects.kinematics.place(q), limit).pairs
-        touching |= {(int(near.first[k]), int(near.second[k])) for k in found}
+        numbers = near.near(objects.kinematics.place(q), limit).pairs
+        touching |= {(int(near.first[k]), int(near.second[k])) for k in numbers}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
-    candidates = [*against, *own]
+    candidates = [*against, *internal]
     left = [pair for pair in candidates if pair not in excluded]
     close = _always_close(objects, left, scene.margin)
     overlapping = _always_close(objects, close, 0.0)
@@ -228,8 +228,8 @@ def _always_close(objects: CollisionObjects, pairs: Sequence[IndexPair], margin:
     for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(PAIRS.random_postures))):
         if not left:
             break
-        found = np.sort(distances.near(objects.kinematics.place(q), margin).pairs)
-        left = [(int(distances.first[k]), int(distances.second[k])) for k in found]
+        numbers = np.sort(distances.near(objects.kinematics.place(q), margin).pairs)
+        left = [(int(distances.first[k]), int(distances.second[k])) for k in numbers]
         distances = distances.among(left)
     # If even the last body never clears an obstacle, the arm is inside that obstacle.
     around_all = {second for first, second in left if second >= count and first == objects.own - 1}
@@ -295,7 +295,7 @@ def _shortest(moving: Array, still: Array, directions: list[Array]) -> Array:
     """Return the direction, of those given and their opposites, along which the segments separate soonest."""
     best = directions[0]
     least = np.inf
-    for direction in (sign * each for each in directions for sign in (1.0, -1.0)):
+    for direction in (sign * axis for axis in directions for sign in (1.0, -1.0)):
         needed = float((still @ direction).max() - (moving @ direction).min())
         if needed < least - 1e-12:
             best = direction
@@ -377,10 +377,10 @@ class _Choice(NamedTuple):
     @classmethod
     def of(cls, arm: Arm, scene: Scene) -> _Choice:
         """Return the choice for an arm and a scene whose obstacles have not moved yet; it takes long."""
-        own = bodies_of(arm, scene.arm_radius)
-        bodies = (*own, *carried_bodies(arm, scene))
+        parts = bodies_of(arm, scene.arm_radius)
+        bodies = (*parts, *carried_bodies(arm, scene))
         named = [
-            (name, each) for name, obstacle in scene.standing.items() for each in obstacle.geometry.solids()
+            (name, solid) for name, obstacle in scene.standing.items() for solid in obstacle.geometry.solids()
         ]
         kinematics = TreeKinematics(arm.model)
         objects = CollisionObjects(
@@ -388,14 +388,14 @@ class _Choice(NamedTuple):
             kinematics=kinematics,
             joints=[body.joint for body in bodies],
             solids=[body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies],
-            fixed=[each for _, each in named],
+            fixed=[solid for _, solid in named],
             depths=[scene.depth(name) for name, _ in named],
-            own=len(own),
+            own=len(parts),
         )
         moving = tuple(body.name for body in bodies)
         names = (*moving, *(name for name, _ in named))
         beside = {
-            (len(own) + k, len(bodies) + number)
+            (len(parts) + k, len(bodies) + number)
             for k, carried in enumerate(scene.carried.values())
             for number, (name, _) in enumerate(named)
             if name in carried.beside
@@ -503,17 +503,17 @@ class CollisionModel:
         """Return the model of the same scene with obstacles moved; the last one is cached."""
         if scene == self.scene:
             return self
-        moment = self._moment  # another thread may change it
-        if moment is None or moment.scene is not scene:
+        moved = self._moment  # another thread may change it
+        if moved is None or moved.scene is not scene:
             if self.scene.maps:
                 _ = self._of_maps
-            moment = self._copy()
-            moment.scene = scene
+            moved = self._copy()
+            moved.scene = scene
             standing = scene.standing
-            moment._distances = self._elsewhere({name: standing[name] for name in scene.moving & {*standing}})
-            moment._take_velocities(scene)
-            self._moment = moment
-        return moment
+            moved._distances = self._elsewhere({name: standing[name] for name in scene.moving & {*standing}})
+            moved._take_velocities(scene)
+            self._moment = moved
+        return moved
 
     def _copy(self) -> CollisionModel:
         other = object.__new__(CollisionModel)
@@ -526,9 +526,9 @@ class CollisionModel:
     def _elsewhere(self, moved: Mapping[str, Obstacle]) -> PairDistances:
         """Return the distances with some obstacles moved."""
         changes = {
-            number: each
+            number: solid
             for name, obstacle in moved.items()
-            for number, each in zip(self._numbers[name], obstacle.geometry.solids(), strict=True)
+            for number, solid in zip(self._numbers[name], obstacle.geometry.solids(), strict=True)
         }
         return self._distances.with_obstacles(changes)
 
@@ -584,7 +584,7 @@ class CollisionModel:
         apart = f"nothing keeps them apart (margin {length_text(self.scene.margin)})"
         for reason, so in ((ALWAYS_CLOSE, apart), (ALWAYS_OVERLAPPING, "these collisions are ignored")):
             pairs = [
-                f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == reason
+                f"{pair.first} to {pair.second}" for pair in self.excluded_pairs if pair.reason == reason
             ]
             if pairs:
                 warn_caller(f"{enumerated(pairs, PAIRS.listed)}: {reason}; {so}")
@@ -648,9 +648,9 @@ class CollisionModel:
             columns: the Jacobian columns of the given joints.
         """
         joints = self._kinematics.joints
-        own = np.flatnonzero(np.isin(joints.columns, columns) & (joints.kinds != OTHERWISE))
+        movable = np.flatnonzero(np.isin(joints.columns, columns) & (joints.kinds != OTHERWISE))
         # Of coupled joints, only the middle one counts: bodies beyond it move about as much as the last one.
-        order = own[np.argsort(joints.columns[own], kind="stable")]
+        order = movable[np.argsort(joints.columns[movable], kind="stable")]
         begins = np.flatnonzero(np.diff(joints.columns[order], prepend=-1))
         middle = order[(begins + np.append(begins[1:], len(order)) - 1) // 2]
         counts = np.zeros(len(joints.kinds) + 1, dtype=np.int64)
@@ -744,9 +744,9 @@ class CollisionModel:
         for velocity, distances in self._by_velocity:
             # Moving an obstacle changes its distance as moving the arm in the opposite direction would.
             drifts = -times[:, None] * velocity
-            wanted = search._replace(below=min(below, lowest))
-            found = distances.minimum_on_motions(self._kinematics, q0, offsets, drifts, wanted)[0]
-            lowest = min(lowest, found)
+            closer = search._replace(below=min(below, lowest))
+            closest = distances.minimum_on_motions(self._kinematics, q0, offsets, drifts, closer)[0]
+            lowest = min(lowest, closest)
         return Closest(lowest, None)
 
     def keep_distance(
@@ -836,7 +836,7 @@ class CollisionModel:
             across = np.linalg.norm(normals @ self._plane.T, axis=1) < IN_PLANE
             lost |= across & (near.distances < self.scene.margin)
         for k in np.flatnonzero(lost):
-            place = near.points[k] - near.distances[k] * near.normals[k]
-            moving, still = self._distances.axes(int(near.pairs[k]), placements, place)
+            point = near.points[k] - near.distances[k] * near.normals[k]
+            moving, still = self._distances.axes(int(near.pairs[k]), placements, point)
             normals[k] = escape_direction(moving, still, self._plane)
         return np.asarray(normals)

@@ -240,5 +240,5 @@ def _corners(normals: Array, side: int) -> tuple[Array, Array]:
     """Return the vectors from the axis to both edges of a side at distance 1, (n, 3) each."""
     sides = normals.shape[1]
     scale = 0.5 / np.cos(np.pi / sides) ** 2
-    own, before, after = (normals[:, k % sides] for k in (side, side - 1, side + 1))
-    return scale * (own + before), scale * (own + after)
+    normal, before, after = (normals[:, k % sides] for k in (side, side - 1, side + 1))
+    return scale * (normal + before), scale * (normal + after)

@@ -116,16 +116,16 @@ def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArra
     most = float(THINNING.most_cubes)
     cells = min(np.sqrt(count), THINNING.most_cubes)
     for _ in range(THINNING.trials):
-        found = _in_cubes(points, low, width, cells)
-        if len(found[0]) > count:
+        occupied = _in_cubes(points, low, width, cells)
+        if len(occupied[0]) > count:
             most = cells
         else:
             least = cells
-            if len(found[0]) > len(best[0]):
-                best = found
+            if len(occupied[0]) > len(best[0]):
+                best = occupied
             if len(best[0]) >= THINNING.least_fill * count:
                 break
-        guess = cells * np.sqrt(0.9 * count / len(found[0]))
+        guess = cells * np.sqrt(0.9 * count / len(occupied[0]))
         cells = guess if least < guess < most else (least + most) / 2.0
     return best
 
@@ -258,8 +258,8 @@ class Scan(Surface):
             if faces is not None:
                 faces = (np.cumsum(finite) - 1)[faces[finite[faces].all(axis=1)]].astype(np.int32)
         if not len(points):
-            given = "none" if not dropped else f"{dropped} points, none of them finite"
-            raise InvalidValue("points", given, "at least one finite point")
+            text = "none" if not dropped else f"{dropped} points, none of them finite"
+            raise InvalidValue("points", text, "at least one finite point")
         if faces is not None and not len(faces):
             raise InvalidValue("faces", "no triangle with finite corners", "at least one; None for a cloud")
         farthest = float(np.abs(points).max())

@@ -93,7 +93,7 @@ def as_names(name: str, value: Any) -> tuple[str, ...]:
     """
     if isinstance(value, str) or not isinstance(value, (tuple, list, set, frozenset)):
         raise InvalidValue(name, value, "a list of names of obstacles")
-    names = [require_name(f"{name}[{k}]", each) for k, each in enumerate(value)]
+    names = [require_name(f"{name}[{k}]", item) for k, item in enumerate(value)]
     return tuple(sorted(dict.fromkeys(names)))
 
 
@@ -159,8 +159,8 @@ class Carried(Declared):
 def carried_among(carried: Mapping[str, Carried], obstacles: Collection[str]) -> dict[str, Carried]:
     """Return how the arm carries those of some obstacles, beside those of them, by names."""
     return {
-        name: replace(each, beside=[other for other in each.beside if other in obstacles])
-        for name, each in carried.items()
+        name: replace(item, beside=[other for other in item.beside if other in obstacles])
+        for name, item in carried.items()
         if name in obstacles
     }
 
@@ -168,8 +168,8 @@ def carried_among(carried: Mapping[str, Carried], obstacles: Collection[str]) ->
 def _require_carriable(value: Mapping[str, Carried], info: ValidationInfo) -> Mapping[str, Carried]:
     obstacles = info.data.get("obstacles", {})
     for name, carried in value.items():
-        for each in (name, *carried.beside):
-            require_known("obstacle", each, obstacles)
+        for other in (name, *carried.beside):
+            require_known("obstacle", other, obstacles)
         shape = obstacles[name].geometry
         if not (shape.convex and shape.bounded):
             raise InvalidValue(f"carried[{name!r}]", obstacles[name], "a convex obstacle of finite size")
@@ -221,7 +221,7 @@ class Scene(Declared):
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the keys of its table."""
-        return ("version", *(each.name for each in fields(cls)))
+        return ("version", *(item.name for item in fields(cls)))
 
     @classmethod
     def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
@@ -254,13 +254,15 @@ class Scene(Declared):
     def moving(self) -> frozenset[str]:
         """Names of the obstacles that have been moved or have a velocity, and of maps."""
         before = self.first.obstacles
-        changing = (name for name, each in self.obstacles.items() if before[name] is not each)
+        changing = (name for name, obstacle in self.obstacles.items() if before[name] is not obstacle)
         return frozenset(changing) | {*self.velocities, *self.maps}
 
     @cached_property
     def maps(self) -> frozenset[str]:
         """Names of the obstacles that are cells of maps."""
-        return frozenset(name for name, each in self.first.obstacles.items() if isinstance(each, Cells))
+        return frozenset(
+            name for name, obstacle in self.first.obstacles.items() if isinstance(obstacle, Cells)
+        )
 
     def moved(
         self,
@@ -322,8 +324,8 @@ class Scene(Declared):
             require_instance(f"maps[{name!r}]", cells, Cells, "the cells of a map")
             size = self.first.obstacles[name].point_radius
             if cells.point_radius != size:
-                given = f"cells with a radius of {length_text(cells.point_radius)}"
-                raise InvalidValue(f"maps[{name!r}]", given, f"a radius of {length_text(size)}, as at first")
+                text = f"cells with a radius of {length_text(cells.point_radius)}"
+                raise InvalidValue(f"maps[{name!r}]", text, f"a radius of {length_text(size)}, as at first")
             obstacles[name] = cells
         return self._at_moment(obstacles, dict(self.velocities))
 
@@ -368,12 +370,12 @@ class Scene(Declared):
         if before.first != self.first:
             return math.inf
         farthest = 0.0
-        for name, each in self.obstacles.items():
+        for name, obstacle in self.obstacles.items():
             there = before.obstacles[name]
-            if each is not there:
-                if name in self.maps and each.content[0] is not there.content[0] and each != there:
+            if obstacle is not there:
+                if name in self.maps and obstacle.content[0] is not there.content[0] and obstacle != there:
                     return math.inf
-                motion = there.pose(np.zeros(3)).actInv(each.pose(np.zeros(3)))
+                motion = there.pose(np.zeros(3)).actInv(obstacle.pose(np.zeros(3)))
                 turned = float(np.linalg.norm(pin.log3(motion.rotation)))
                 farthest = max(farthest, float(np.linalg.norm(motion.translation)) + reach * turned)
         return farthest
@@ -393,7 +395,7 @@ class Scene(Declared):
     @property
     def standing(self) -> dict[str, Obstacle]:
         """The obstacles that the arm does not carry, by name."""
-        return {name: each for name, each in self.obstacles.items() if name not in self.carried}
+        return {name: obstacle for name, obstacle in self.obstacles.items() if name not in self.carried}
 
     def with_obstacles(self, obstacles: Mapping[str, Obstacle]) -> Scene:
         """Return the scene with other obstacles, which stand still.
@@ -425,7 +427,7 @@ class Scene(Declared):
     def _at_moment(self, obstacles: dict[str, Obstacle], velocities: dict[str, Twist]) -> Scene:
         """Return the scene at another moment, without a check: that of many obstacles takes long."""
         other = object.__new__(type(self))
-        other.__dict__.update({each.name: getattr(self, each.name) for each in fields(self)})
+        other.__dict__.update({item.name: getattr(self, item.name) for item in fields(self)})
         set_fields(other, obstacles=MappingProxyType(obstacles), velocities=MappingProxyType(velocities))
         set_fields(other, _first=self.first)
         return other
@@ -509,16 +511,16 @@ class Scene(Declared):
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
-        given |= {name: dict(given[name]) for name in ("obstacles", "velocities", "carried")}
-        return Scene, tuple(given.values()), {"_first": self._first}
+        values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
+        values |= {name: dict(values[name]) for name in ("obstacles", "velocities", "carried")}
+        return Scene, tuple(values.values()), {"_first": self._first}
 
     def _key(self) -> tuple[Any, ...]:
         obstacles = frozenset(self.obstacles.items())
         velocities = frozenset(self.velocities.items())
         carried = frozenset(self.carried.items())
-        own = self.self_collision, self.margin, self.arm_radius
-        return obstacles, velocities, *own, self.touchable, carried
+        settings = self.self_collision, self.margin, self.arm_radius
+        return obstacles, velocities, *settings, self.touchable, carried
 
 
 def _read_scene(value: object, info: ValidationInfo) -> Scene | None:
@@ -565,8 +567,10 @@ def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float
         within: the distance between the surfaces [m].
     """
     x, y, z = np.array(center, dtype=np.float64)
-    named = [(name, each) for name, obstacle in scene.standing.items() for each in obstacle.geometry.solids()]
+    named = [
+        (name, solid) for name, obstacle in scene.standing.items() for solid in obstacle.geometry.solids()
+    ]
     pairs = [(0, 1 + k) for k in range(len(named))]
-    distances = PairDistances([Sphere((x, y, z), radius).solid()], [0], [each for _, each in named], pairs)
+    distances = PairDistances([Sphere((x, y, z), radius).solid()], [0], [solid for _, solid in named], pairs)
     near = distances.near(Placements(np.eye(3)[None, None], np.zeros((1, 1, 3))), within)
     return tuple(dict.fromkeys(named[k][0] for k in np.sort(distances.second[near.pairs] - 1)))

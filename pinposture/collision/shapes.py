@@ -114,7 +114,7 @@ class Described(Declared):
     @classmethod
     def check_keys(cls, values: Mapping[str, Any] = MappingProxyType({})) -> tuple[str, ...]:
         """Return the names that a description of it may have."""
-        return ("type", *(each.name for each in fields(cls)))
+        return ("type", *(item.name for item in fields(cls)))
 
     @classmethod
     def from_table(cls, values: Mapping[str, Any], source: InputFile) -> Any:
@@ -161,7 +161,7 @@ class Described(Declared):
         }
         names = cls.check_keys()
         number = 0.5 * size if "start" in names else size
-        values |= {each.name: number for each in number_fields(cls) if each.default is MISSING}
+        values |= {item.name: number for item in number_fields(cls) if item.default is MISSING}
         return cls(**{name: value for name, value in values.items() if name in names})
 
     def changed(self: Same, **values: Any) -> Same:
@@ -187,8 +187,8 @@ class Described(Declared):
         The third axis is that of shapes with only one. The middle of a half-space is its point nearest to
         `near`, (3,) [m].
         """
-        own: Any = self
-        return pin.SE3(np.array(getattr(self, "rotation", UNTURNED)), np.array(own.center))
+        shape: Any = self
+        return pin.SE3(np.array(getattr(self, "rotation", UNTURNED)), np.array(shape.center))
 
 
 @declared()
@@ -335,11 +335,11 @@ class HalfSpace(Described):
 
     def solid(self) -> Solid:
         """Return it as a solid."""
-        place = np.array(self.point)
+        point = np.array(self.point)
         turn = z_along(np.array(self.normal))
         geometry = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)  # the points with z <= 0
         whole = np.full(3, np.inf)
-        return Solid(geometry, turn, place, place, place, np.inf, place, whole, PLANE, True)
+        return Solid(geometry, turn, point, point, point, np.inf, point, whole, PLANE, True)
 
     def pose(self, near: Array) -> pin.SE3:
         """Return the point of the plane that is nearest to another; the third axis is the normal."""
@@ -419,21 +419,21 @@ class Surface(Described):
     @classmethod
     def from_table(cls, values: Mapping[str, Any], source: InputFile) -> Any:
         """Return the values of fields, with the points themselves; or one that is loaded from a file."""
-        given = super().from_table(values, source)
-        own = cls.own
-        if ("path" in given) == (own in given):
-            both = "both" if "path" in given else None
-            raise InvalidValue(f"path or {own}", both, "one of the two: a file, or points (n, 3) [m]")
-        if "path" not in given:
-            if "scale" in given:
-                raise InvalidValue("scale", given["scale"], f"nothing: {own} are in metres")
-            return given
-        path = given.pop("path")
+        options = super().from_table(values, source)
+        key = cls.own
+        if ("path" in options) == (key in options):
+            both = "both" if "path" in options else None
+            raise InvalidValue(f"path or {key}", both, "one of the two: a file, or points (n, 3) [m]")
+        if "path" not in options:
+            if "scale" in options:
+                raise InvalidValue("scale", options["scale"], f"nothing: {key} are in metres")
+            return options
+        path = options.pop("path")
         require_instance("path", path, str, "the name of a file")
-        if "faces" in given:
-            raise InvalidValue("faces", given["faces"], "nothing: they are read from the file")
+        if "faces" in options:
+            raise InvalidValue("faces", options["faces"], "nothing: they are read from the file")
         with refusing(values, "path"):
-            return cast(Any, cls).load(source.resolve(path), **given)
+            return cast(Any, cls).load(source.resolve(path), **options)
 
     def written(self, file: OutputFile) -> dict[str, Any]:
         """Return the values of fields that differ from their defaults: a file, or points and triangles."""
@@ -480,7 +480,7 @@ class Surface(Described):
         return self._digest, self.center, self.rotation
 
     def __getstate__(self) -> dict[str, Any]:
-        return {each.name: self.__dict__[each.name] for each in fields(self)}
+        return {item.name: self.__dict__[item.name] for item in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         make_read_only(*state.values())
@@ -638,9 +638,11 @@ class MeshShape(Described):
     rotation: Matrix
 
     def __post_init__(self) -> None:
-        own = next(each for each in type(self).__mro__ if "__dataclass_fields__" in vars(each))
-        if "__pydantic_validator__" not in vars(own):
-            raise TypeError(f"{own.__name__} is a plain dataclass; needed: @declared() of pinposture.schema")
+        declaring = next(kind for kind in type(self).__mro__ if "__dataclass_fields__" in vars(kind))
+        if "__pydantic_validator__" not in vars(declaring):
+            raise TypeError(
+                f"{declaring.__name__} is a plain dataclass; needed: @declared() of pinposture.schema"
+            )
 
     def build(self) -> Mesh:
         """Return its mesh in its own frame, without a placement; only a closed mesh has an inside."""
@@ -649,8 +651,8 @@ class MeshShape(Described):
     @cached_property
     def geometry(self) -> Mesh:
         """Its mesh in the world frame; those of equal shapes share one tree."""
-        own: Any = self
-        return _built(replace(own, center=(0.0, 0.0, 0.0), rotation=UNTURNED)).placed(
+        shape: Any = self
+        return _built(replace(shape, center=(0.0, 0.0, 0.0), rotation=UNTURNED)).placed(
             self.center, self.rotation
         )
 
@@ -687,7 +689,7 @@ def rotation_to(axis: ArrayLike) -> Array:
 def number_fields(kind: Any) -> list[Field[Any]]:
     """Return the fields of a type of shape that are numbers."""
     hints = get_type_hints(kind)
-    return [each for each in fields(kind) if hints[each.name] is float]
+    return [item for item in fields(kind) if hints[item.name] is float]
 
 
 def warn_of_width(name: str, points: Array) -> None:

@@ -55,15 +55,15 @@ def weigh(arm: Arm, density: float | None = None, masses: Mapping[str, float] | 
     if not isinstance(masses, Mapping | None):
         raise InvalidValue("masses", masses, "a mapping from names of links to masses [kg], or None")
     lacking = arm.links_without_mass
-    given: dict[str, float] = {}
+    known: dict[str, float] = {}
     for name, value in (masses or {}).items():
         require_known("link without a mass", name, lacking)
-        given[name] = as_number(f"masses[{name!r}]", value, "a finite number >= 0 [kg]", lambda x: x >= 0.0)
+        known[name] = as_number(f"masses[{name!r}]", value, "a finite number >= 0 [kg]", lambda x: x >= 0.0)
     solids, faults = _solids(arm, lacking)
     added = []
     unknown: list[str] = []
     for name in lacking:
-        mass = given.get(name)
+        mass = known.get(name)
         solid = solids.get(name)
         if mass is None and density is not None and solid is not None:
             added.append(_load(name, solid, density))
@@ -87,20 +87,20 @@ def weigh(arm: Arm, density: float | None = None, masses: Mapping[str, float] | 
 
 def _solids(arm: Arm, links: tuple[str, ...]) -> tuple[dict[str, pin.Inertia], dict[str, str]]:
     """Return the inertias of links of density 1, in their own frames, and why shapes cannot be read."""
-    found: dict[str, pin.Inertia] = {}
+    inertias: dict[str, pin.Inertia] = {}
     faults: dict[str, str] = {}
     if not links or arm.urdf is None:
-        return found, faults
+        return inertias, faults
     for tag in ("collision", "visual"):
-        bodies, unread = described_bodies(arm, tag, [name for name in links if name not in found])
+        bodies, unread = described_bodies(arm, tag, [name for name in links if name not in inertias])
         here: dict[str, pin.Inertia] = {}
         for body in bodies:
             solid = find_frame(arm.model, body.name).placement.actInv(solid_inertia(body.shape.solid()))
             here[body.name] = here[body.name] + solid if body.name in here else solid
         broken = {name: f"link {name!r}: {reason}" for name, _, reason in unread}
         faults |= broken
-        found |= {name: solid for name, solid in here.items() if solid.mass > 0.0 and name not in broken}
-    return found, faults
+        inertias |= {name: solid for name, solid in here.items() if solid.mass > 0.0 and name not in broken}
+    return inertias, faults
 
 
 def solid_inertia(solid: Solid) -> pin.Inertia:

@@ -83,12 +83,12 @@ class WrappedBody(NamedTuple):
         pose = coal.Transform3s(self.solid.rotation, self.solid.position)
         request = coal.DistanceRequest()
         result = coal.DistanceResult()
-        found = []
+        distances = []
         for point in points:
             result.clear()
             at = coal.Transform3s(np.eye(3), point)
-            found.append(coal.distance(ball, at, self.solid.geometry, pose, request, result))
-        return np.array(found)
+            distances.append(coal.distance(ball, at, self.solid.geometry, pose, request, result))
+        return np.array(distances)
 
 
 class Winding(NamedTuple):
@@ -305,11 +305,11 @@ def _body(obstacle: Obstacle, axis: ArrayLike | None) -> WrappedBody:
         )
     if isinstance(shape, Capsule | Cylinder):
         ends = np.array([shape.start, shape.end])
-        own = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        about = own if about is None else about
-        if shape.primitive != CYLINDER or float(np.linalg.norm(np.cross(own, about))) < PARALLEL:
+        direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        about = direction if about is None else about
+        if shape.primitive != CYLINDER or float(np.linalg.norm(np.cross(direction, about))) < PARALLEL:
             return WrappedBody(shape.solid(), ends, shape.radius, about)
-        rim = _circle(shape.radius) @ _frame(own)[:2]
+        rim = _circle(shape.radius) @ _frame(direction)[:2]
         return WrappedBody(shape.solid(), np.vstack([end + rim for end in ends]), 0.0, about)
     if isinstance(shape, Box):
         solid = shape.solid()
@@ -345,9 +345,9 @@ def _circle(radius: float) -> Array:
 def _touching(outline: RoundedOutline, start: Array, heading: Array | None) -> float:
     """Return the arc length at which a curve from a start, (3,), in some direction, runs into an outline."""
     source = start[:2]
-    place = outline.at(np.array([outline.nearest(source)]))[0][0]
+    point = outline.at(np.array([outline.nearest(source)]))[0][0]
     if heading is not None:
-        source = source + heading[:2] * float(np.linalg.norm(place - source)) / 3.0
+        source = source + heading[:2] * float(np.linalg.norm(point - source)) / 3.0
     touch = outline.touched_from(source)
     return touch if isfinite(touch) else outline.nearest(source)  # the start is beyond an end of the obstacle
 

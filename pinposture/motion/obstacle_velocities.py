@@ -58,10 +58,10 @@ class PoseHistory:
     def add(self, time: float, obstacle: Obstacle) -> None:
         """Add the obstacle at a time [s], later than those before."""
         pose = obstacle.pose(np.zeros(3))
-        place = pose.translation
+        position = pose.translation
         axes = pose.rotation.ravel()
         known = len(self._times) > 0
-        if known and np.array_equal(place, self._places[-1]) and np.array_equal(axes, self._axes[-1]):
+        if known and np.array_equal(position, self._places[-1]) and np.array_equal(axes, self._axes[-1]):
             if len(self._times) == 1 or self._is_overdue(time):
                 self._times = np.array([time])
                 self._places = self._places[-1:]
@@ -69,7 +69,7 @@ class PoseHistory:
                 self._velocity = np.zeros(6)
             return
         self._times = np.append(self._times[1 - OBSTACLE_VELOCITY.poses :], time)
-        self._places = np.vstack([self._places[1 - OBSTACLE_VELOCITY.poses :], place])
+        self._places = np.vstack([self._places[1 - OBSTACLE_VELOCITY.poses :], position])
         self._axes = np.vstack([self._axes[1 - OBSTACLE_VELOCITY.poses :], axes])
         if len(self._times) >= RATE_FIT.fewest:
             self._estimate(pose.rotation)
@@ -132,12 +132,12 @@ class ObstacleVelocities:
             self._take(scene)
         if self._scene is None:
             return None
-        found = {name: history.velocity(self._now) for name, history in self._histories.items()}
-        velocities = {name: velocity for name, velocity in found.items() if velocity is not None}
-        moment = self._scene
+        fitted = {name: history.velocity(self._now) for name, history in self._histories.items()}
+        velocities = {name: velocity for name, velocity in fitted.items() if velocity is not None}
+        scene_now = self._scene
         if velocities:
-            moment = moment.moved({}, {**velocities, **moment.velocities})
-        return moment.after(self._age) if self._age > 0.0 and moment.velocities else moment
+            scene_now = scene_now.moved({}, {**velocities, **scene_now.velocities})
+        return scene_now.after(self._age) if self._age > 0.0 and scene_now.velocities else scene_now
 
     def _take(self, scene: Scene) -> None:
         """Take the scene of this moment."""
