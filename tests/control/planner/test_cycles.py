@@ -15,11 +15,11 @@ from pinposture.control import Memory
 ROUNDS = 3
 
 
-def cycled(arm: pp.Arm, targets: list[pp.Target], tolerance: float) -> np.ndarray:
-    """Configurations at the end of each round, (ROUNDS, nq)."""
+def cycled(arm: pp.Arm, targets: list[pp.Target], tolerance: float, rounds: int = ROUNDS) -> np.ndarray:
+    """Configurations at the end of each round, (rounds, nq)."""
     q = arm.straight()
     ends = []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for target in targets:
             run = pp.track(arm, target, q, tolerance=tolerance * arm.length, max_steps=400)
             assert run.converged, run.reason
@@ -50,13 +50,20 @@ def test_a_cycle_of_postures_does_not_drift_where_points_settle_the_joints(name:
     assert np.abs(np.diff(ends[1:], axis=0)).max() < 1e-6
 
 
-def test_tips_of_a_redundant_arm_drift_less_in_every_round() -> None:
-    """Nothing settles the other joints, and no configuration is remembered: they find their place."""
+@pytest.mark.long
+def test_tips_of_redundant_arms_drift_less_after_some_rounds() -> None:
+    """Nothing settles the other joints, and no configuration is remembered: they find their place.
+
+    Of single arms some drift more in a later round, so the medians of six draws are compared.
+    """
     arm = arm_called("planar")
-    targets = [target.region(6, 6) for target in corners(arm, known=False)]
-    ends = cycled(arm, targets, 1e-10)
-    drift = np.abs(np.diff(ends, axis=0)).max(axis=1)
-    assert drift[1] < max(drift[0], 1e-6)
+    drifts = []
+    for seed in range(6):
+        targets = [target.region(6, 6) for target in corners(arm, known=False, seed=seed)]
+        ends = cycled(arm, targets, 1e-10, rounds=5)
+        drifts.append(np.abs(np.diff(ends, axis=0)).max(axis=1))
+    first, *_, last = np.median(drifts, axis=0)
+    assert last < 0.5 * first
 
 
 @pytest.mark.parametrize(("name", "acceleration"), [("planar", None), ("spatial", None), ("spatial", 5.0)])
