@@ -233,13 +233,13 @@ def reach(
         return tuple(postures[:count])
     reached: list[ReachedPosture] = []
     for posture in postures:
-        clear = sum(not each.path.blocked_by for each in reached if each.path)
+        clear = sum(not posture.path.blocked_by for posture in reached if posture.path)
         left = began + budget - perf_counter()
         if clear >= count or (reached and left <= 0.0):
             break
         share = max(left, 0.05 * budget) / max(count - clear, 1)
         reached.append(search.with_path(posture, first, share))
-    reached.sort(key=lambda each: (bool(each.path and each.path.blocked_by), -each.score))
+    reached.sort(key=lambda posture: (bool(posture.path and posture.path.blocked_by), -posture.score))
     return tuple(reached[:count])
 
 
@@ -307,12 +307,12 @@ def tip_task(arm: Arm, goal: Any, direction: ArrayLike | None) -> EndEffector:
         if direction is not None:
             raise InvalidValue("direction", direction, "None where the goal is a pose")
         return EndEffector(pose=goal)
-    place = as_vector("goal", goal)
+    position = as_vector("goal", goal)
     if direction is None:
-        return EndEffector(position=place)
+        return EndEffector(position=position)
     link = link_axes(arm).links[-1]
     turn = pin.Quaternion.FromTwoVectors(link, np.array(unit_vector("direction", direction))).matrix()
-    return EndEffector(pose=pin.SE3(turn, place), direction_only=True)
+    return EndEffector(pose=pin.SE3(turn, position), direction_only=True)
 
 
 def _place_of(task: EndEffector) -> Array:
@@ -321,43 +321,43 @@ def _place_of(task: EndEffector) -> Array:
 
 def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) -> None:
     """Raise OutOfReach for a goal that is farther from the base than the arm is long, by a tolerance [m]."""
-    place = _place_of(task)
-    away = float(np.linalg.norm(place - arm.chain.base))
+    position = _place_of(task)
+    away = float(np.linalg.norm(position - arm.chain.base))
     most = arm.length + arm.travel
     if away > most + max(tolerance, TIP_TOLERANCE * arm.length):
         advice = "is it in millimetres, not metres?" if away > 100.0 * most else "choose a nearer one"
-        base = ", ".join(f"{each:.4g}" for each in arm.chain.base)
+        base = ", ".join(f"{coordinate:.4g}" for coordinate in arm.chain.base)
         where = f"it is {length_text(away)} from the base at ({base}) m"
         reason = f"{where}, and the arm reaches {length_text(most)}; {advice}"
-        raise OutOfReach(place, reason)
+        raise OutOfReach(position, reason)
 
 
 def _check_in_reach(arm: Arm, task: EndEffector, tolerance: float, scene: Scene | None) -> None:
     """Refuse goals that no posture can reach."""
-    place = _place_of(task)
+    position = _place_of(task)
     raise_together(
         gather(
             lambda: require_within_reach(arm, task, tolerance),
-            lambda: _check_plane(arm, place, tolerance),
-            lambda: _check_outside(scene, place),
+            lambda: _check_plane(arm, position, tolerance),
+            lambda: _check_outside(scene, position),
             lambda: _check_orientation(arm, task, tolerance),
         )
     )
 
 
-def _check_plane(arm: Arm, place: Array, tolerance: float) -> None:
-    offset = place - arm.chain.points[-1]
+def _check_plane(arm: Arm, position: Array, tolerance: float) -> None:
+    offset = position - arm.chain.points[-1]
     across = float(np.linalg.norm(offset - arm.plane.T @ (arm.plane @ offset)))
     if across > tolerance:
         allowed = length_text(tolerance)
         reason = f"it is {length_text(across)} off the plane in which the arm moves; allowed: {allowed}"
-        raise OutOfReach(place, reason)
+        raise OutOfReach(position, reason)
 
 
-def _check_outside(scene: Scene | None, place: Array) -> None:
-    inside = () if scene is None else obstacles_around(scene, place)
+def _check_outside(scene: Scene | None, position: Array) -> None:
+    inside = () if scene is None else obstacles_around(scene, position)
     if inside:
-        raise ReachError(place, f"it is inside {', '.join(inside)}")
+        raise ReachError(position, f"it is inside {', '.join(inside)}")
 
 
 def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
@@ -365,15 +365,15 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
     known = link_axes(arm)
     if task.pose is None or known.turns[-1] > 1:
         return
-    wanted = task.pose[:3, :3]
+    goal = task.pose[:3, :3]
     now = arm.at(arm.neutral()).rotations[-1]
     axis = known.axes[-1]
     turns = bool(known.turns[-1])
     if task.direction_only:
-        change = (wanted - now) @ known.links[-1]
+        change = (goal - now) @ known.links[-1]
         off = abs(float(axis @ change)) if turns else float(np.linalg.norm(change))
     else:
-        change = wanted @ now.T - np.eye(3)
+        change = goal @ now.T - np.eye(3)
         off = float(np.linalg.norm(change @ axis if turns else change))
     if off * arm.characteristic_length > tolerance:
         how = "turns about one axis" if turns else "does not turn"
@@ -461,10 +461,10 @@ class _TipFit:
         # There are fewer rows than joints. Within the box, their solution is that of the quadratic program.
         x = matrix.T @ np.linalg.solve(damped_hessian(matrix.T, weight), rows.errors)
         if np.any((x < lower) | (x > upper)):
-            found = solve(damped_hessian(matrix, weight), -(matrix.T @ rows.errors), lower, upper)
-            if found.x is None:
+            solution = solve(damped_hessian(matrix, weight), -(matrix.T @ rows.errors), lower, upper)
+            if solution.x is None:
                 return None
-            x = found.x
+            x = solution.x
         return search.moved(state, x)
 
 
@@ -501,16 +501,16 @@ class _Search:
         self.target = Target.from_configuration(arm, arm.straight())  # required, but unused by the task
 
     def find(
-        self, start: Array | None, wanted: int, rng: np.random.Generator, until: float
+        self, start: Array | None, count: int, rng: np.random.Generator, until: float
     ) -> list[ReachedPosture]:
         """Return distinct clear postures, the best first; raise ReachError if there is none."""
-        found: list[ReachedPosture] = []
+        postures: list[ReachedPosture] = []
         shapes: list[Array] = []
         idle = 0
         nearest = inf
         intruding = 0
         for wave in range(SEARCH.max_waves):
-            before = len(found)
+            before = len(postures)
             settled: list[tuple[float, int, ChainState]] = []
             for number, q in enumerate(self._seeds(start, wave == 0, rng)):
                 state = self._settle(self.arm.chain_at(q), None, SEARCH.tip_iterations)
@@ -523,7 +523,7 @@ class _Search:
                     settled.append((intrusion, number, state))
                 if perf_counter() >= until:
                     break
-            for _, _, begin in sorted(settled, key=lambda each: each[:2])[: SEARCH.chosen]:
+            for _, _, begin in sorted(settled, key=lambda candidate: candidate[:2])[: SEARCH.chosen]:
                 state = self._push_clear(begin)
                 posture = self._judge(state)
                 if posture is None:
@@ -531,16 +531,20 @@ class _Search:
                 elif self._is_new(state.links, shapes):
                     better, improved = self._polish(posture, state)
                     if self._is_new(improved.links, shapes):
-                        found.append(better)
+                        postures.append(better)
                         shapes.append(improved.links)
-                if len(found) >= wanted or perf_counter() >= until:
+                if len(postures) >= count or perf_counter() >= until:
                     break
-            idle = idle + 1 if len(found) == before else 0
-            if len(found) >= wanted or perf_counter() >= until or (found and idle >= SEARCH.max_idle_waves):
+            idle = idle + 1 if len(postures) == before else 0
+            if (
+                len(postures) >= count
+                or perf_counter() >= until
+                or (postures and idle >= SEARCH.max_idle_waves)
+            ):
                 break
-        if not found:
+        if not postures:
             raise ReachError(_place_of(self.task), self._explain_failure(nearest, intruding))
-        return sorted(found, key=lambda each: -each.score)
+        return sorted(postures, key=lambda posture: -posture.score)
 
     def bring_near(self, state: ChainState, waves: int, rng: np.random.Generator) -> tuple[ChainState, float]:
         """Return a state at the goal, the nearest found to a posture, or else the closest, and its error."""
@@ -654,10 +658,10 @@ class _Search:
 
     def _polish(self, posture: ReachedPosture, state: ChainState) -> tuple[ReachedPosture, ChainState]:
         """Improve clearance, distance from limits and the objective in the null space of the tip."""
-        wanted = self.margin + SEARCH.ample * self.arm.length
+        ample = self.margin + SEARCH.ample * self.arm.length
         moved = state
         for _ in range(SEARCH.polish_iterations):
-            rows = self.rows(moved, wanted)
+            rows = self.rows(moved, ample)
             first = rows.matrix[: rows.tip]
             left = rows.errors[: rows.tip]
             inverse = np.linalg.pinv(first, rcond=1e-4)
@@ -713,7 +717,7 @@ class _Search:
         axes = state.axes[:, columns].T
         inverse = np.linalg.pinv(plane @ (jacobian * self.units[:, None]).T, rcond=1e-6)  # (n, d)
         numbers = np.arange(len(columns))
-        low, high = (each(numbers[:, None], numbers) for each in (np.minimum, np.maximum))
+        low, high = (pick(numbers[:, None], numbers) for pick in (np.minimum, np.maximum))
         changes = np.cross(axes[low], jacobian[high]) @ plane.T  # of column i by joint j, (n, n, d)
         return np.asarray(np.einsum("ijd,id,i->j", changes, inverse, self.units) * self.units)
 
@@ -741,4 +745,4 @@ class _Search:
 
     def _is_new(self, links: Array, shapes: list[Array]) -> bool:
         least = SEARCH.distinct * self.arm.length
-        return all(float(np.linalg.norm(links - each, axis=1).max()) >= least for each in shapes)
+        return all(float(np.linalg.norm(links - shape, axis=1).max()) >= least for shape in shapes)

@@ -359,20 +359,20 @@ class Avoidance:
     def inequalities(self, state: ChainState) -> Inequalities:
         """Return the constraints at a state; the last result is cached."""
         if self._seen_inequalities is None or self._seen_inequalities[0] is not state:
-            found = inequalities_of(self.constraints, state)
+            inequalities = inequalities_of(self.constraints, state)
             if self.torques is not None:
-                found = found.joined(self.torques.inequalities(state))
-            self._seen_inequalities = state, found
+                inequalities = inequalities.joined(self.torques.inequalities(state))
+            self._seen_inequalities = state, inequalities
         return self._seen_inequalities[1]
 
     def violation(self, state: ChainState) -> float:
         """Return by how much the worst constraint is violated [m]; 0 if all are kept, up to rounding."""
         if not self.constrained:
             return 0.0
-        found = inequalities_of(self.constraints, state).violation if self.constraints else 0.0
+        violation = inequalities_of(self.constraints, state).violation if self.constraints else 0.0
         if self.torques is not None:
-            found = max(found, self.torques.violation(state))
-        return found if found > VIOLATION_ROUNDING * self._length else 0.0
+            violation = max(violation, self.torques.violation(state))
+        return violation if violation > VIOLATION_ROUNDING * self._length else 0.0
 
     def near(self, state: ChainState) -> Distances:
         """Return the pairs within the constrained distance; the last result is cached."""
@@ -415,10 +415,10 @@ class Avoidance:
             parts.append(self._damper(measured, lower, upper))
         if self.constrained:
             parts.append(self._constraint_rows(state, lower, upper))
-        found = [part for part in parts if part is not None]
-        if not found:
+        rows = [part for part in parts if part is not None]
+        if not rows:
             return None
-        return reduce(ConstraintRows.joined, found)
+        return reduce(ConstraintRows.joined, rows)
 
     def _constraint_rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows:
         """Return the rows of constraints: none loses more than a share of its room, as pairs of clearance."""
@@ -475,15 +475,15 @@ class Avoidance:
             q: a configuration, (nq,).
             offsets: displacements from it, (s, nv) [rad or m].
         """
-        wanted = self.margin + AVOIDANCE.path_clearance * self._length
-        found = self.clearance.contacts_along(q, offsets, wanted + AVOIDANCE.path_sight * self._length)
+        sight = self.margin + AVOIDANCE.path_clearance * self._length
+        contacts = self.clearance.contacts_along(q, offsets, sight + AVOIDANCE.path_sight * self._length)
         return PathClearance(
-            errors=wanted - found.distances,
-            samples=found.samples,
-            carried=self._carried[found.carrying],
-            points=found.points,
-            normals=found.normals,
-            minima=found.minima,
+            errors=sight - contacts.distances,
+            samples=contacts.samples,
+            carried=self._carried[contacts.carrying],
+            points=contacts.points,
+            normals=contacts.normals,
+            minima=contacts.minima,
         )
 
     @cached_property
@@ -513,12 +513,14 @@ class Avoidance:
             return np.zeros(len(path) - 1)
         offsets, ends = self._sampled(path)
         start = self.objective.arm.chain_at(q)
-        found = np.zeros(len(offsets))
+        violations = np.zeros(len(offsets))
         if self.constraints:
-            found = np.array([each.violation for each in self._inequalities_along(start, offsets)])
+            violations = np.array(
+                [inequalities.violation for inequalities in self._inequalities_along(start, offsets)]
+            )
         if self.torques is not None:
-            found = np.maximum(found, self.torques.violations(start.raw_positions + offsets))
-        return np.asarray(np.maximum(np.maximum.reduceat(found, ends[:-1]), found[ends[1:]]))
+            violations = np.maximum(violations, self.torques.violations(start.raw_positions + offsets))
+        return np.asarray(np.maximum(np.maximum.reduceat(violations, ends[:-1]), violations[ends[1:]]))
 
     def _sampled(self, path: Array) -> tuple[Array, NDArray[np.intp]]:
         """Return displacements (s, nv) on straight motions, and the index of each waypoint among them."""
@@ -536,15 +538,15 @@ class Avoidance:
 
     def _inequalities_along(self, start: ChainState, offsets: Array) -> list[Inequalities]:
         """Return the constraints at states displaced from one, (s, nv)."""
-        return [inequalities_of(self.constraints, start.moved(each)) for each in offsets]
+        return [inequalities_of(self.constraints, start.moved(offset)) for offset in offsets]
 
     def missing_room(self, state: ChainState, root: float) -> LinearRows:
         """Return rows that move a waypoint back within its constraints, times the root of their weight."""
         inequalities = self.inequalities(state)
-        wanted = AVOIDANCE.path_clearance * self._length - inequalities.room
-        near = wanted > 0.0
+        missing = AVOIDANCE.path_clearance * self._length - inequalities.room
+        near = missing > 0.0
         matrix = inequalities.matrix[near][:, self.objective.columns] * self.objective.units
-        return LinearRows(root * matrix, root * wanted[near])
+        return LinearRows(root * matrix, root * missing[near])
 
     def clear_stop(self, state: ChainState, dq: Array, stopping: Array | None = None) -> Array | None:
         """Return the steps that stop the arm after a step, (k, nv) [rad or m]; None if it loses its margin.
@@ -610,20 +612,20 @@ class Avoidance:
             stop = self._stop_after(state, step)
             if stop.share > strongest:
                 continue
-            found = ClearStep(step, share, stop.steps, relaxed)
-            steps = np.vstack([step, found.stopping])
+            clear_step = ClearStep(step, share, stop.steps, relaxed)
+            steps = np.vstack([step, clear_step.stopping])
             distance = self._lowest(state, steps, least, until)
             if self._violates(state, steps, accepted, stop.held):
                 continue
             if distance >= least:
-                return found
-            closer.append((distance, found))
+                return clear_step
+            closer.append((distance, clear_step))
         harder = self._brake_harder(state, braking, touching, until, strongest) if due else None
         if harder is not None:
             return harder
-        for distance, found in closer if self.moving else ():
+        for distance, clear_step in closer if self.moving else ():
             if distance >= lowest - self._rounding:
-                return found
+                return clear_step
         return ClearStep(braking[0], 0.0, braking[1:], relaxed)
 
     def _brake_harder(
@@ -672,8 +674,8 @@ class Avoidance:
         if self._bounds.effort is None or self._bounds.dt is None:
             return None
         if self._step_torques is None or self._step_torques[0] is not state:
-            found = StepTorques(self.objective.arm, self._bounds, state.raw_positions, self._previous)
-            self._step_torques = state, found
+            step_torques = StepTorques(self.objective.arm, self._bounds, state.raw_positions, self._previous)
+            self._step_torques = state, step_torques
         return self._step_torques[1]
 
     def _lowest(self, state: ChainState, steps: Array, below: float, until: int = 0) -> float:
@@ -742,16 +744,16 @@ class Avoidance:
             return ()
         start = self.objective.arm.chain_at(q)
         offsets, _ = self._sampled(path)
-        found: tuple[str, ...] = ()
+        messages: tuple[str, ...] = ()
         if self.constraints:
             worst = max(
                 self._inequalities_along(start, offsets), key=lambda inequalities: inequalities.violation
             )
-            found = describe_violated(worst, self._length)
+            messages = describe_violated(worst, self._length)
         if self.torques is not None:
             worst_at = int(self.torques.violations(start.raw_positions + offsets).argmax())
-            found += self.torques.describe(start.moved(offsets[worst_at]))
-        return found
+            messages += self.torques.describe(start.moved(offsets[worst_at]))
+        return messages
 
     def describe_closest(self, state: ChainState) -> str:
         """Describe the closest pair."""
@@ -770,7 +772,7 @@ class Avoidance:
         if measured is not None:
             more = len(measured.distances)
             which = self._which(measured, binding[count : count + more], stuck)
-            words += tuple(f"{MEASURED_ARM}: {each}" for each in self._describe(measured, which))
+            words += tuple(f"{MEASURED_ARM}: {message}" for message in self._describe(measured, which))
             count += more
         return (
             words + self._describe_constraints(state, binding[count:], stuck) if self.constrained else words

@@ -199,22 +199,22 @@ def solve_posture(
     """
     lower = constraints.lower
     upper = constraints.upper
-    given = errors, damping, center, lower, upper
+    problem = errors, damping, center, lower, upper
     if constraints.rows is None:
-        return Solution(solver.step(*given), np.zeros(0, dtype=np.bool_), False)
+        return Solution(solver.step(*problem), np.zeros(0, dtype=np.bool_), False)
     normal = constraints.rows.normal()
     possible = np.flatnonzero(normal.lowest(lower, upper) < normal.least)
-    found = None
+    step = None
     if len(possible) <= max(DESCENT.few_rows, len(lower) ** 2 / DESCENT.squared_joints_per_row):
         chosen = LinearRows(normal.matrix[possible], normal.least[possible])
-        found = solver.constrained_step(*given, chosen)
-    if found is None:
-        matrix, wanted = solver.rows(errors)
-        gradient = -(matrix.T @ wanted + damping * center)
+        step = solver.constrained_step(*problem, chosen)
+    if step is None:
+        matrix, goals = solver.rows(errors)
+        gradient = -(matrix.T @ goals + damping * center)
         return solve(damped_hessian(matrix, damping), gradient, lower, upper, constraints.rows)
     binding = np.zeros(len(normal.least), dtype=np.bool_)
-    binding[possible] = found.binding
-    return Solution(found.x, binding, found.softened)
+    binding[possible] = step.binding
+    return Solution(step.x, binding, step.softened)
 
 
 class PriorityStep(NamedTuple):
@@ -230,7 +230,7 @@ class PriorityStep(NamedTuple):
 
 
 def solve_priority(
-    objective: Objective, constraints: StepConstraints, tasks: LinearRows, wanted: Array, center: Array
+    objective: Objective, constraints: StepConstraints, tasks: LinearRows, motion: Array, center: Array
 ) -> PriorityStep | None:
     """Solve for the tasks with priority alone; None if that fails.
 
@@ -241,12 +241,12 @@ def solve_priority(
         objective: the objective.
         constraints: those of the step.
         tasks: the rows of these tasks.
-        wanted: the motion that the rows should have, (r,) [m].
+        motion: the motion that the rows should have, (r,) [m].
         center: the step to stay close to, (n,).
     """
     damping = DESCENT.priority_damping * mean_diagonal(objective, tasks.matrix)
     hessian = damped_hessian(tasks.matrix, damping)
-    gradient = -(tasks.matrix.T @ wanted + damping * center)
+    gradient = -(tasks.matrix.T @ motion + damping * center)
     alone = solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows)
     if alone.x is None:
         return None
@@ -265,8 +265,8 @@ def solve_remaining(
     if first is None:
         return solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows)
     equal = (first.matrix, first.matrix @ first.x)
-    found = solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows, equal)
-    return found if found.x is not None else found._replace(x=first.x)
+    solution = solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows, equal)
+    return solution if solution.x is not None else solution._replace(x=first.x)
 
 
 def correct_curvature(
@@ -290,10 +290,10 @@ def correct_curvature(
     for _ in range(DESCENT.curvature_corrections):
         after = objective.task_rows(objective.state_after(constraints.state, x), priority=True)
         missed = planned if after is None else after.errors - planned
-        found = float(np.linalg.norm(missed))
-        if found >= left:
+        error = float(np.linalg.norm(missed))
+        if error >= left:
             break
-        left = found
+        left = error
         best = x
         x = np.clip(x + inverse @ missed, constraints.lower, constraints.upper)
     return best
@@ -374,12 +374,12 @@ def descend(problem: LeastSquaresProblem, state: ChainState, steps: int) -> tupl
         if problem.is_solved(state, rating):
             break
         tried = problem.step(state, damping)
-        found = None if tried is None else problem.rate(tried)
-        if tried is not None and found is not None and found < rating:
-            closer = found.violation < rating.violation
-            idle = 0 if closer or found.cost <= (1.0 - DESCENT.converged) * rating.cost else idle + 1
+        tried_rating = None if tried is None else problem.rate(tried)
+        if tried is not None and tried_rating is not None and tried_rating < rating:
+            closer = tried_rating.violation < rating.violation
+            idle = 0 if closer or tried_rating.cost <= (1.0 - DESCENT.converged) * rating.cost else idle + 1
             state = tried
-            rating = found
+            rating = tried_rating
             damping = max(damping * DESCENT.decrease, DESCENT.least_factor)
         else:
             damping *= DESCENT.increase
@@ -430,8 +430,8 @@ def _minimize_alone(
     """Run `minimize` for points and chords in free space, in one compiled call."""
     positions = state.raw_positions.copy()
     squares, mean = _search(objective, positions, position_limits, good, steps)
-    found = state.moved(positions - state.raw_positions)
-    return LeastSquaresResult(found, 0.5 * squares, mean, 0.0)
+    goal = state.moved(positions - state.raw_positions)
+    return LeastSquaresResult(goal, 0.5 * squares, mean, 0.0)
 
 
 def find_positions_near(objective: Objective, state: ChainState, position_limits: Array) -> Array | None:

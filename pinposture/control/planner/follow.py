@@ -495,7 +495,7 @@ def _steps_ahead(
         expected = state.raw_positions
     elif not progress.is_expected(state):
         count = 1
-    found = NextSteps(
+    ahead = NextSteps(
         places=np.empty(count),
         errors=np.empty(count + 1),
         dq=np.zeros((count, arm.nv)),
@@ -513,10 +513,10 @@ def _steps_ahead(
         PathMotion(progress.place, progress.speed, expected, before, bounds.braking),
         PATH_TOLERANCES,
         PointGoals(goals.targets, goals.flags),
-        found,
+        ahead,
     )
-    places = found.places[:steps].tolist()
-    return StepsAhead(bounds, places, found.errors.tolist(), found.dq, found.reached, found.at_limit)
+    places = ahead.places[:steps].tolist()
+    return StepsAhead(bounds, places, ahead.errors.tolist(), ahead.dq, ahead.reached, ahead.at_limit)
 
 
 def _within_torques(progress: PathProgress, ahead: StepsAhead, torques: StepTorques) -> StepsAhead:
@@ -547,8 +547,8 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
     if goal is None:
         return None
     arm = state.arm
-    wanted = objective.chain
-    found = StepArrays(np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_))
+    targets = objective.chain
+    step = StepArrays(np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_))
     simple, before, after = kernels.step_to(
         arm.kinematics.constants,
         arm.kinematics.endless,
@@ -559,18 +559,18 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
         arm.multi_turn,
         PATH.short_motion,
         LIMIT_ROUNDING,
-        PointGoals(wanted.targets, wanted.flags),
-        found,
+        PointGoals(targets.targets, targets.flags),
+        step,
     )
     if not (simple and after <= len(objective.active) * OBJECTIVE.goal_tolerance * arm.length):
         return None
     return Step(
-        found.dq,
+        step.dq,
         objective.active,
-        found.at_limit,
+        step.at_limit,
         error_increasing=_rises(objective, before, after),
         following_path=True,
-        memory=GeodesicMemory(found.dq),
+        memory=GeodesicMemory(step.dq),
     )
 
 
@@ -598,14 +598,14 @@ def pursue(
     before = memory.goal if isinstance(memory, GeodesicMemory) else None
     if before is not None and before.target is target:
         return None, before._replace(motion=np.zeros(arm.nv))
-    found = find_positions_near(objective, state, bounds.position_limits)
+    nearest = find_positions_near(objective, state, bounds.position_limits)
     none = np.zeros(arm.nv)
-    if found is None or bounds.brake is None:
+    if nearest is None or bounds.brake is None:
         return None, None
     if target.q is not None and not objective.has_exact_goal:
         return None, None
-    motion = none if before is None else _turned(arm, found - before.positions)
-    goal = Goal(target, found, motion)
+    motion = none if before is None else _turned(arm, nearest - before.positions)
+    goal = Goal(target, nearest, motion)
     steady = False
     if target.velocity is not None and bounds.dt is not None:
         motion = bounds.dt * target.velocity
@@ -616,7 +616,7 @@ def pursue(
         return None, goal
     columns = objective.columns
     positions = state.raw_positions
-    rest = _turned(arm, found - positions)
+    rest = _turned(arm, nearest - positions)
     near = np.abs(rest) <= FOLLOWING.most_pursued_motion * arm.joint_units
     moves = near & (np.abs(motion) <= bounds.bound)
     inside = kernels.position_excess(positions + rest, bounds.position_limits, arm.kinematics.columns) == 0.0
@@ -624,8 +624,8 @@ def pursue(
     if step_bounds.outside or not (inside and np.all(moves[columns])):
         return None, goal
     dq = np.zeros(arm.nv)
-    wanted = motion + farthest(rest - motion, bounds.brake)
-    dq[columns] = np.minimum(np.maximum(wanted, step_bounds.lower), step_bounds.upper)[columns]
+    proposal = motion + farthest(rest - motion, bounds.brake)
+    dq[columns] = np.minimum(np.maximum(proposal, step_bounds.lower), step_bounds.upper)[columns]
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)
     chain = objective.chain
@@ -718,11 +718,11 @@ def _clear_stop(
         bounds: the limits of the joints.
         avoidance: the obstacles to avoid.
     """
-    found = avoidance.clear_stop(state, dq)
+    stop = avoidance.clear_stop(state, dq)
     path = moved.timed.path
     brake = bounds.brake
-    if found is not None or brake is None or bounds.effort is not None or moved.timed.profile is None:
-        return found
+    if stop is not None or brake is None or bounds.effort is not None or moved.timed.profile is None:
+        return stop
     off = path.offset_of(state, moved.place) + dq - path.smooth_offset(moved.place)
     if np.any(np.abs(off) > FOLLOWING.arrived * path.arm.joint_units):
         return None
@@ -827,14 +827,14 @@ def step_along(
     if may_stop and avoidance is not None and _clear_stop(progress, state, dq, bounds, avoidance) is not None:
         return CandidateStep(dq, progress)  # without computing the rows of constraints
     constraints = StepConstraints.of(objective, state, step_bounds, avoidance)
-    wanted = objective.normalize(dq)
-    if may_follow and constraints.admit(wanted):
+    planned = objective.normalize(dq)
+    if may_follow and constraints.admit(planned):
         return CandidateStep(dq, progress)
     if not objective.tasks:
         solver = ChainSolver(objective, state)
-        found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, constraints)
-        x = np.clip(wanted, constraints.lower, constraints.upper) if found.x is None else found.x
-        return CandidateStep(objective.displacement(x), progress, found)
+        solution = solve_posture(solver, solver.covered(planned), objective.mu**2, planned, constraints)
+        x = np.clip(planned, constraints.lower, constraints.upper) if solution.x is None else solution.x
+        return CandidateStep(objective.displacement(x), progress, solution)
     step = _bend_to_tasks(progress, dq, constraints, tasks)
     if tasks is not None and proposal.rest is not None:
         most = np.abs(dq) + FOLLOWING.arrived * objective.chain.units
@@ -857,21 +857,21 @@ def _bend_to_tasks(
     """
     objective = progress.objective
     state = constraints.state
-    wanted = objective.normalize(dq)
+    along = objective.normalize(dq)
     hessian = damped_hessian(objective.rows(state).matrix, objective.mu**2)
     first = None
     planned: Array | None = None
     if tasks is not None:
         planned = _planned_errors(progress, progress.place, len(tasks.errors))
-        reached = cast(LinearRows, objective.task_rows(objective.state_after(state, wanted), priority=True))
-        motion = tasks.matrix @ wanted + reached.errors - planned  # none but `wanted` if that leads there
-        first = solve_priority(objective, constraints, tasks, motion, wanted)
-    found = solve_remaining(hessian, -(hessian @ wanted), constraints, first)
-    if found.x is None:
-        x = np.clip(wanted, constraints.lower, constraints.upper)
+        reached = cast(LinearRows, objective.task_rows(objective.state_after(state, along), priority=True))
+        motion = tasks.matrix @ along + reached.errors - planned  # none but `along` if that leads there
+        first = solve_priority(objective, constraints, tasks, motion, along)
+    solution = solve_remaining(hessian, -(hessian @ along), constraints, first)
+    if solution.x is None:
+        x = np.clip(along, constraints.lower, constraints.upper)
     else:
-        x = correct_curvature(objective, constraints, found.x, planned)
-    return CandidateStep(objective.displacement(x), progress, found)
+        x = correct_curvature(objective, constraints, solution.x, planned)
+    return CandidateStep(objective.displacement(x), progress, solution)
 
 
 def _share(rest: Array, dq: Array) -> Array:
@@ -1010,24 +1010,24 @@ def reduce_remaining(progress: PathProgress, constraints: StepConstraints) -> Ca
     """Return the step that reduces the remaining errors at the end of the path, damped until it does."""
     objective = progress.objective
     damping = progress.damping
-    found = None
+    solution = None
     state = constraints.state
     cost = objective.cost(state)
     if constraints.retreating:
-        found = reduce_errors(objective, constraints, damping)
-        if found.x is not None:
-            return CandidateStep(objective.displacement(found.x), progress, found)
+        solution = reduce_errors(objective, constraints, damping)
+        if solution.x is not None:
+            return CandidateStep(objective.displacement(solution.x), progress, solution)
     for _ in range(
         FOLLOWING.attempts if cost > (FOLLOWING.negligible_error * objective.arm.length) ** 2 else 0
     ):
-        found = reduce_errors(objective, constraints, damping)
-        x = None if found.x is None else correct_curvature(objective, constraints, found.x)
+        solution = reduce_errors(objective, constraints, damping)
+        x = None if solution.x is None else correct_curvature(objective, constraints, solution.x)
         if (
             x is not None
             and objective.cost(objective.state_after(state, x)) < (1.0 - DESCENT.converged) * cost
         ):
             less_damped = progress._replace(damping=max(damping * DESCENT.decrease, DESCENT.least_factor))
-            return CandidateStep(objective.displacement(x), less_damped, found)
+            return CandidateStep(objective.displacement(x), less_damped, solution)
         damping *= DESCENT.increase
     rest = np.clip(
         np.zeros(len(constraints.lower)), constraints.lower, constraints.upper
@@ -1035,7 +1035,7 @@ def reduce_remaining(progress: PathProgress, constraints: StepConstraints) -> Ca
     reason = ""
     if not np.any(rest):
         reason = _describe_end(objective, state)
-    return CandidateStep(objective.displacement(rest), progress, found, reason)
+    return CandidateStep(objective.displacement(rest), progress, solution, reason)
 
 
 def _describe_end(objective: Objective, state: ChainState) -> str:
@@ -1074,10 +1074,10 @@ def check_step(
         dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
     if avoidance is not None:
         dq[arm.columns] = np.minimum(np.maximum(dq, step_bounds.lower), step_bounds.upper)[arm.columns]
-        wanted = dq
-        dq, share, stopping, relaxed = avoidance.clear_step(state, wanted)
+        proposed = dq
+        dq, share, stopping, relaxed = avoidance.clear_step(state, proposed)
         if share < 1.0 and not progress.arrived:
-            done = float(np.clip((dq @ wanted) / max(float(wanted @ wanted), 1e-300), 0.0, 1.0))
+            done = float(np.clip((dq @ proposed) / max(float(proposed @ proposed), 1e-300), 0.0, 1.0))
             place = before.place + done * (progress.place - before.place)
             moved = before.moved_to(place, bounds.travel, True)
             progress = progress._replace(

@@ -128,9 +128,9 @@ class Geodesic:
         if not (self.scene is None or isinstance(self.scene, Scene)):
             raise InvalidValue("scene", self.scene, "a Scene(...), or None")
         if self.offset is not None:
-            given = finite_array("offset", self.offset, (None,))
+            offset = finite_array("offset", self.offset, (None,))
             if not isinstance(self.offset, np.ndarray):
-                object.__setattr__(self, "offset", given)
+                object.__setattr__(self, "offset", offset)
 
     def with_scene(self, scene: Scene | None) -> Geodesic:
         """Return this controller in another scene."""
@@ -385,13 +385,13 @@ class _Situation:
         """Return what steps on a path avoid; None if the limits of the joints are all that they keep."""
         if self._avoidance is None or self._avoidance[0] is not progress:
             scene = self.controller.scene
-            found = None
+            avoidance = None
             if not (self.limited_only and not progress.arrived and progress.timed.is_held):
                 objective = progress.objective
-                found = Avoidance.of(
+                avoidance = Avoidance.of(
                     scene, objective, self.bounds, self.previous, self.controller.offset, self.braking
                 )
-            self._avoidance = progress, found
+            self._avoidance = progress, avoidance
         return self._avoidance[1]
 
     def held(self, step: Step | None) -> Step | None:
@@ -588,8 +588,8 @@ def _follow_path(now: _Situation) -> Step:
         avoidance = now.limits_alone if avoidance is None else avoidance
         if not now.torques.keep_limits(candidate.dq):
             constraints = StepConstraints.of(progress.objective, state, now.step_bounds, avoidance)
-            dq, found = _within_torques(progress.objective, constraints, now.torques, candidate.dq)
-            candidate = candidate if found is None else CandidateStep(dq, candidate.progress, found)
+            dq, solution = _within_torques(progress.objective, constraints, now.torques, candidate.dq)
+            candidate = candidate if solution is None else CandidateStep(dq, candidate.progress, solution)
     step = check_step(candidate, state, now.bounds, now.step_bounds, avoidance, progress)
     at_rest = now.previous is None or not np.any(now.previous)
     if avoidance is not None and at_rest and not (step.reason or np.any(step.dq)):
@@ -612,15 +612,17 @@ def _within_torques(
     hessian = scaled(torques.inertia[np.ix_(objective.columns, objective.columns)], objective.units)
     gradient = -hessian @ objective.normalize(dq)
     closest = dq
-    found = None
+    solution = None
     for _ in range(GEODESIC.torque_iterations):
         matrix, least = torques.rows(closest)
         limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
-        found = solve(hessian, gradient, constraints.lower, constraints.upper, constraints.rows, hard=limits)
-        if found.x is None:
+        solution = solve(
+            hessian, gradient, constraints.lower, constraints.upper, constraints.rows, hard=limits
+        )
+        if solution.x is None:
             return dq, None
-        closest = objective.displacement(found.x)
-    return closest, found
+        closest = objective.displacement(solution.x)
+    return closest, solution
 
 
 class Mode(NamedTuple):
@@ -730,8 +732,8 @@ def _smallest_motion(avoidance: Avoidance, constraints: StepConstraints) -> Arra
     """Return the smallest displacement within constraints by which the arm evades obstacles, (nv,)."""
     solver = ChainSolver(avoidance.objective, constraints.state, weight=0.0)
     rest = np.zeros(len(constraints.lower))
-    found = solve_posture(solver, solver.covered(rest), 1.0, rest, constraints).x
-    x = np.clip(rest, constraints.lower, constraints.upper) if found is None else found
+    nearest = solve_posture(solver, solver.covered(rest), 1.0, rest, constraints).x
+    x = np.clip(rest, constraints.lower, constraints.upper) if nearest is None else nearest
     dq = avoidance.objective.displacement(x)
     torques = avoidance.torques_at(constraints.state)
     if torques is None or torques.keep_limits(dq):

@@ -370,8 +370,8 @@ class ChainSolver:
 
     def rows(self, errors: Array) -> LinearRows:
         """Return dense rows of points and chords, for errors of the points, (p, 3) [m]."""
-        found = self._objective.posture_rows(self._state, errors @ self._objective.arm.plane.T)
-        return LinearRows(*(sqrt(self._weight) * each for each in found))
+        rows = self._objective.posture_rows(self._state, errors @ self._objective.arm.plane.T)
+        return LinearRows(*(sqrt(self._weight) * part for part in rows))
 
     def stiffness(self) -> float:
         """Return the mean diagonal of A^T A [m^2]."""

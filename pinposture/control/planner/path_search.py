@@ -203,10 +203,10 @@ class PathSearch:
         joined = self._connect(np.zeros(self.arm.nv), self._end, TREES.join_nodes)
         return None if joined is None else FoundPath(joined, TREE_SEARCH)
 
-    def path(self, found: FoundPath) -> JointPath:
+    def path(self, found_path: FoundPath) -> JointPath:
         """Return a path that was found, for the objective of the problem."""
-        path = JointPath(self.problem.objective, self._start.q, found.offsets)
-        return replace(path, found_by=found.found_by)
+        path = JointPath(self.problem.objective, self._start.q, found_path.offsets)
+        return replace(path, found_by=found_path.found_by)
 
     def is_clear(self, path: Array) -> bool:
         """Whether straight motions between offsets, (N + 1, nv), are clear, given that the first one is."""
@@ -238,10 +238,10 @@ class PathSearch:
                 part = self.shorten(FoundPath(joined, TREE_SEARCH)).offsets
                 whole = np.concatenate([path[:first], part, path[second + 1 :]])
                 return FoundPath(self._smoothed(whole), TREE_SEARCH)
-        found = self.connect() or self.withdraw()
-        if found is None:
+        raw = self.connect() or self.withdraw()
+        if raw is None:
             return None
-        return FoundPath(self._smoothed(self.shorten(found).offsets), found.found_by)
+        return FoundPath(self._smoothed(self.shorten(raw).offsets), raw.found_by)
 
     def _smoothed(self, path: Array) -> Array:
         """Return a path of even pieces, (M + 1, nv), whose corners are rounded as far as the curve is clear.
@@ -253,8 +253,8 @@ class PathSearch:
         places = np.append(0.0, np.cumsum(lengths))
         count = int(np.clip(np.ceil(places[-1] / SHORTENING.even_piece), *SHORTENING.even_pieces))
         for finer in (1, 2, 4):
-            wanted = np.linspace(0.0, places[-1], finer * count + 1)
-            even = np.column_stack([np.interp(wanted, places, joint) for joint in path.T])
+            even_places = np.linspace(0.0, places[-1], finer * count + 1)
+            even = np.column_stack([np.interp(even_places, places, joint) for joint in path.T])
             rounded = self._rounded(even)
             if rounded is not None:
                 return rounded
@@ -310,13 +310,13 @@ class PathSearch:
         ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, self._end)]
         nodes = TREES.join_nodes
         while perf_counter() < self.until:
-            trapped = [each for each, is_trapped in zip(ends, self._trapped, strict=True) if is_trapped]
-            moved = any([each.go_on(WITHDRAWING.join_every) for each in trapped])
+            trapped = [end for end, is_trapped in zip(ends, self._trapped, strict=True) if is_trapped]
+            moved = any([end.go_on(WITHDRAWING.join_every) for end in trapped])
             if not moved and not any([each.go_on(WITHDRAWING.join_every) for each in ends]):
                 if nodes == TREES.nodes:
                     break
                 nodes = TREES.nodes  # neither end can withdraw further: search longer
-            depths = " and ".join(f"{100.0 * each.depth:.0f} %" for each in ends)
+            depths = " and ".join(f"{100.0 * end.depth:.0f} %" for end in ends)
             tell(f"tree search after withdrawing start and goal by {depths} of the arm length")
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)
             if joined is not None:
@@ -355,26 +355,26 @@ class PathSearch:
         arm = self.arm
         rng = self._rng
         kinds = rng.random(count)
-        found = rng.uniform(*self._sides, size=(count, arm.nv))
+        samples = rng.uniform(*self._sides, size=(count, arm.nv))
         is_smooth = (kinds >= TREES.uniform_share) & (kinds < 0.5 * (1.0 + TREES.uniform_share))
         smooth = int(is_smooth.sum())
         places = max(len(joints) for joints in arm.module_joints)
         sizes = rng.normal(size=(smooth, places, 3))
         phases = rng.uniform(0.0, 2.0 * np.pi, sizes.shape)
         amplitudes = self._share * rng.uniform(0.1, TREES.most_amplitude, smooth)
-        found[is_smooth] = smooth_positions(arm, sizes, phases, amplitudes) - self._positions
+        samples[is_smooth] = smooth_positions(arm, sizes, phases, amplitudes) - self._positions
         is_near = kinds >= 0.5 * (1.0 + TREES.uniform_share)
         near = int(is_near.sum())
         places_between = rng.uniform(-0.2, 1.2, (near, 1))
         noise = self._share * TREES.noise * rng.normal(size=(near, arm.nv)) * arm.joint_units * arm.moved
-        found[is_near] = one + places_between * (other - one) + noise
-        return np.asarray(np.clip(found, *self._sides))
+        samples[is_near] = one + places_between * (other - one) + noise
+        return np.asarray(np.clip(samples, *self._sides))
 
     # Shortcuts.
 
-    def shorten(self, found: FoundPath) -> FoundPath:
+    def shorten(self, raw: FoundPath) -> FoundPath:
         """Straighten parts of a path where that is clear and shorter, for all or some consecutive joints."""
-        path = divide(found.offsets, self._units)
+        path = divide(raw.offsets, self._units)
         lengths = self._measure(path)
         columns = self.problem.objective.columns
         for number in range(SHORTENING.shortcuts):
@@ -394,7 +394,7 @@ class PathSearch:
             if shorter and self.is_clear(straight):
                 path = np.concatenate([path[:i], divide(straight, self._units), path[j + 1 :]])
                 lengths = self._measure(path)
-        return FoundPath(path, found.found_by)
+        return FoundPath(path, raw.found_by)
 
     def _measure(self, path: Array) -> Array:
         """Return the lengths of the pieces of a path, (N,) [m]."""

@@ -197,13 +197,13 @@ def plan(
     limits = require_limits(limits)
     bounds = limits.for_arm(state.arm)
     require_instance("strict", strict, bool, "True or False")
-    given = None if target.q is None else state.arm.chain_at(target.q)
+    known_goal = None if target.q is None else state.arm.chain_at(target.q)
     avoidance = Avoidance.of(scene, objective, bounds)
     torques = avoidance.torques if strict and avoidance is not None else None
     if torques is not None:
         torques.require_held(state.chain_state, "state")
-        if given is not None:
-            torques.require_held(given, "target.q")
+        if known_goal is not None:
+            torques.require_held(known_goal, "target.q")
     problem = PlanningProblem(objective, state.chain_state, bounds.position_limits, avoidance)
     began = perf_counter()
 
@@ -215,14 +215,14 @@ def plan(
     if avoidance is None or not avoidance.constrained:
         return path
     end = path.configuration(path.end)
-    goal = state.arm.chain_at(end) if given is None else given
+    goal = state.arm.chain_at(end) if known_goal is None else known_goal
     if torques is not None and (
-        given is None or np.abs(state.arm.difference(given.q, end)).max() > PLAN.turn_rounding
+        known_goal is None or np.abs(state.arm.difference(known_goal.q, end)).max() > PLAN.turn_rounding
     ):
         torques.require_held(state.arm.chain_at(end), "the goal")
     words = [path.blocked_by] if path.blocked_by else []
     for name, at in (("start", problem.start), ("goal", goal)):
-        words += [f"at the {name}, {each}" for each in avoidance.describe_broken(at)]
+        words += [f"at the {name}, {reason}" for reason in avoidance.describe_broken(at)]
     return replace(path, blocked_by="; ".join(words))
 
 
@@ -385,14 +385,14 @@ def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath
         problem._replace(avoidance=avoidance.tolerating(state, goal)), goal, possible, attempt
     )
     if not search.is_clear(rest):
-        found = search.rejoin(rest)
+        rejoined = search.rejoin(rest)
     else:
-        found = FoundPath(rest, RELAXATION) if attempt == 1 else None
-    if found is None:
+        rejoined = FoundPath(rest, RELAXATION) if attempt == 1 else None
+    if rejoined is None:
         return None
     scene = avoidance.clearance.scene
     return replace(
-        search.path(found), scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal)
+        search.path(rejoined), scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal)
     )
 
 
@@ -432,30 +432,31 @@ def find_goal(
     # An arm that violates the margin at the start may do so at the goal by as much.
     allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(problem, held, before)
-    best = found = minimize(problem, next(starts), good, allowed)
-    wanted = max(good, enough)
+    best = latest = minimize(problem, next(starts), good, allowed)
+    good_enough = max(good, enough)
     agreeing = 1
     while agreeing < PLAN.agreeing and not (
-        found.intrusion == 0.0 and (_is_good_enough(objective, found, wanted) or (known and not has_priority))
+        latest.intrusion == 0.0
+        and (_is_good_enough(objective, latest, good_enough) or (known and not has_priority))
     ):
         if prompt:
             raise PlanNeeded
         start = next(starts, None)  # lazily, as computing one can take long
         if start is None:
             break
-        found = minimize(problem, start, good, allowed)
-        alike = found.intrusion == best.intrusion == 0.0 and not objective.tasks
-        agreeing = agreeing + 1 if alike and abs(found.cost - best.cost) <= PLAN.same_cost * best.cost else 1
-        if (found.intrusion, found.cost) < (best.intrusion, better * best.cost):
-            best = found
+        latest = minimize(problem, start, good, allowed)
+        alike = latest.intrusion == best.intrusion == 0.0 and not objective.tasks
+        agreeing = agreeing + 1 if alike and abs(latest.cost - best.cost) <= PLAN.same_cost * best.cost else 1
+        if (latest.intrusion, latest.cost) < (best.intrusion, better * best.cost):
+            best = latest
     return best
 
 
-def _is_good_enough(objective: Objective, found: LeastSquaresResult, good: float) -> bool:
+def _is_good_enough(objective: Objective, result: LeastSquaresResult, good: float) -> bool:
     """Whether a result takes the target posture and fulfils the tasks with priority."""
-    tasks = objective.task_rows(found.state, priority=True)
+    tasks = objective.task_rows(result.state, priority=True)
     fulfilled = tasks is None or float(np.linalg.norm(tasks.errors)) <= good
-    return fulfilled and found.mean_error <= good
+    return fulfilled and result.mean_error <= good
 
 
 def _is_held(objective: Objective, state: ChainState) -> bool:
@@ -574,30 +575,30 @@ class _Candidates:
         variant = 2 * attempt
         count = PLAN.paths // (1 + attempt)
         too_many = len(search.problem.objective.columns) > PLAN.most_relaxed_joints
-        found = None
+        searched = None
         hopeless = False
         if self._tasks is None:
             if attempt == 0:
                 yield self._most_direct
-            found = self._keep(search.connect(self._search_tells))
-            hopeless = found is None and (search.is_trapped or too_many)
+            searched = self._keep(search.connect(self._search_tells))
+            hopeless = searched is None and (search.is_trapped or too_many)
         if not hopeless:
             yield self._relax(0, variant, count)
-        if found is None:
-            found = self._keep(search.withdraw(self._search_tells))
-        if found is not None:
-            yield from self._relax_found(found)
+        if searched is None:
+            searched = self._keep(search.withdraw(self._search_tells))
+        if searched is not None:
+            yield from self._relax_found(searched)
         else:
             count = 0 if hopeless and too_many else min(count, PLAN.hopeless_paths)
         for k in range(int(not hopeless), count):
             if not self._clear:
                 yield self._relax(k, variant, count)
 
-    def _keep(self, found: FoundPath | None) -> FoundPath | None:
+    def _keep(self, searched: FoundPath | None) -> FoundPath | None:
         """Keep a path that was found, so that it is told with the next attempt."""
-        if found is not None:
-            self.judge(self._search.path(found))
-        return found
+        if searched is not None:
+            self.judge(self._search.path(searched))
+        return searched
 
     def judge(self, path: JointPath) -> bool:
         """Keep a path; return whether it is clear."""
@@ -650,21 +651,21 @@ class _Candidates:
         penalties = self._penalties(PLAN.clearance_roots[(variant + k) % len(PLAN.clearance_roots)])
         return direct_path(objective, start.q, self._search.goal.q, position_limits, penalties, variant + k)
 
-    def _relax_found(self, found: FoundPath) -> Iterator[JointPath]:
+    def _relax_found(self, searched: FoundPath) -> Iterator[JointPath]:
         """Yield a path that was found, shortened and relaxed, and as shortened."""
         search = self._search
-        found = search.shorten(found)
-        raw = search.path(found)
+        searched = search.shorten(searched)
+        raw = search.path(searched)
         objective, start, position_limits, _ = search.problem
-        self._tell(f"relaxation of a path found by {found.found_by}")
+        self._tell(f"relaxation of a path found by {searched.found_by}")
         try:
             relaxed = relax_path(
-                objective, start.q, found.offsets, position_limits, self._penalties(PLAN.searched_root)
+                objective, start.q, searched.offsets, position_limits, self._penalties(PLAN.searched_root)
             )
         except KeyboardInterrupt:
             self.judge(raw)
             raise
-        yield from (replace(path, found_by=found.found_by) for path in relaxed)
+        yield from (replace(path, found_by=searched.found_by) for path in relaxed)
         yield raw
 
 
@@ -752,12 +753,12 @@ def replan(
         if avoidance is None and not objective.tasks:
             first = start if objective.target.q is None else None
             enough = _achievable_error(path.objective, objective, start)
-            found = find_goal(problem, good, first, enough, prompt)
+            result = find_goal(problem, good, first, enough, prompt)
         else:  # a whole search takes long: this one goes on in the next cycle
             allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
-            found = minimize(problem, start, good, allowed, DESCENT.quick_steps)
-        goal = found.state
-        clear = found.intrusion == 0.0
+            result = minimize(problem, start, good, allowed, DESCENT.quick_steps)
+        goal = result.state
+        clear = result.intrusion == 0.0
     change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
     bent = change if bend is None else bend + change
     too_far = _size(objective, bent) > PLAN.most_bend * _size(objective, arm.difference(state.q, before))

@@ -226,13 +226,13 @@ def direct_path(
     waypoints = _Waypoints(objective, start, position_limits)
     bend = _bend(objective, variant) * largest
     if penalties is None:
-        found = waypoints.relax(change, bend)
+        relaxed = waypoints.relax(change, bend)
     else:
         guess = waypoints.interpolate(change, bend, AMONG_OBSTACLES.pieces)
-        found = _PathRelaxation(waypoints, penalties).run(guess)
-    pieces = len(found) - 1
+        relaxed = _PathRelaxation(waypoints, penalties).run(guess)
+    pieces = len(relaxed) - 1
     finer = max(STAGING.refinement, STAGING.least_pieces // pieces) * pieces
-    smooth = waypoints.refine(found, finer) if pieces > 1 else found
+    smooth = waypoints.refine(relaxed, finer) if pieces > 1 else relaxed
     return JointPath(objective, start, objective.displacement(smooth))
 
 
@@ -266,9 +266,9 @@ def relax_path(
             x = waypoints.space(offsets, pieces)
             if _PathRelaxation(waypoints, penalties).is_clear(x):
                 break
-    found = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
-    smooth = waypoints.refine(found, STAGING.refinement * (len(found) - 1))
-    first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, found))
+    relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
+    smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
+    first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, relaxed))
     return first, second
 
 
@@ -319,9 +319,9 @@ class _Waypoints:
         """Return waypoints on a path, (N + 1, nv), equidistant in the metric of the planner."""
         objective = self.objective
         places = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
-        wanted = np.linspace(0.0, places[-1], pieces + 1)
+        even_places = np.linspace(0.0, places[-1], pieces + 1)
         x = offsets[:, objective.columns] / objective.units
-        return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
+        return self._clip(np.column_stack([np.interp(even_places, places, joint) for joint in x.T]))
 
     def relax(self, change: Array, bend: Array) -> Array:
         """Return the waypoints of the most direct path found, with as many pieces as it needs."""
@@ -340,8 +340,8 @@ class _Waypoints:
     def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
         """Return a damped Gauss-Newton step of all waypoints, (N + 1, n); None if it is not finite."""
         steps = np.empty_like(x)
-        found = kernels.step_waypoints(self._problem, damping, x, rows, contacts, steps)
-        return steps if found >= 0 else None
+        status = kernels.step_waypoints(self._problem, damping, x, rows, contacts, steps)
+        return steps if status >= 0 else None
 
     def _clip(self, x: Array) -> Array:
         return np.ascontiguousarray(np.minimum(np.maximum(x, self.within[0]), self.within[1]))
@@ -472,23 +472,23 @@ class _PathRelaxation:
         avoidance = self._penalties.avoidance
         constrained = avoidance is not None and avoidance.constrained
         last = len(offsets) - 1
-        found: list[LinearRows] = []
+        rows: list[LinearRows] = []
         waypoints: list[int] = []
         for i in range(1, last) if tasks is not None or constrained else ():
             state = arm.chain_at(arm.integrate(self._start, offsets[i]))
             if tasks is not None:
-                found.append(tasks(state, i / last))
+                rows.append(tasks(state, i / last))
                 waypoints.append(i)
             if avoidance is not None and constrained:
-                found.append(avoidance.missing_room(state, self._penalties.clearance_root))
+                rows.append(avoidance.missing_room(state, self._penalties.clearance_root))
                 waypoints.append(i)
-        if not found:
+        if not rows:
             n = len(self._objective.columns)
             return PathRows(np.zeros((0, n)), np.zeros(0), np.zeros(0, dtype=np.int64))
         return PathRows(
-            matrix=np.ascontiguousarray(np.concatenate([each.matrix for each in found])),
-            errors=np.concatenate([each.errors for each in found]),
-            waypoints=np.repeat(np.array(waypoints), [len(each.errors) for each in found]),
+            matrix=np.ascontiguousarray(np.concatenate([part.matrix for part in rows])),
+            errors=np.concatenate([part.errors for part in rows]),
+            waypoints=np.repeat(np.array(waypoints), [len(part.errors) for part in rows]),
         )
 
     def _clearance(self, offsets: Array, known: NDArray[np.bool_]) -> tuple[PathContacts, NDArray[np.bool_]]:
@@ -501,15 +501,15 @@ class _PathRelaxation:
             nothing = np.zeros((0, 2), dtype=np.int64)
             contacts = PathContacts(np.zeros(0), begins, nothing, np.zeros((0, 3)), np.zeros((0, 3)))
             return contacts, np.ones(len(offsets) - 1, dtype=np.bool_)
-        found = avoidance.measure_clearance(self._start, offsets[1:-1])
+        clearance = avoidance.measure_clearance(self._start, offsets[1:-1])
         contacts = PathContacts(
-            errors=root * found.errors,
-            begins=np.searchsorted(found.samples + 1, np.arange(len(offsets) + 1)).astype(np.int64),
-            carried=found.carried,
-            points=np.ascontiguousarray(found.points),
-            normals=root * found.normals,
+            errors=root * clearance.errors,
+            begins=np.searchsorted(clearance.samples + 1, np.arange(len(offsets) + 1)).astype(np.int64),
+            carried=clearance.carried,
+            points=np.ascontiguousarray(clearance.points),
+            normals=root * clearance.normals,
         )
-        minima = np.concatenate([[inf], found.minima, [inf]])
+        minima = np.concatenate([[inf], clearance.minima, [inf]])
         lowest = np.minimum(minima[:-1], minima[1:])
         clear = lowest >= least
         clear &= avoidance.keeps_constraints(self._start, offsets)
