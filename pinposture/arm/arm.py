@@ -187,8 +187,8 @@ class Arm(ConfigurationSpace):
         lower = self.limits.lower
         upper = self.limits.upper
         for u in np.flatnonzero(lower > upper):
-            given = float(lower[u]), float(upper[u])
-            raise InvalidValue(f"limits of joint {self.joint_names[u]!r}", given, "lower <= upper")
+            ends = float(lower[u]), float(upper[u])
+            raise InvalidValue(f"limits of joint {self.joint_names[u]!r}", ends, "lower <= upper")
         sizes = tuple(joints.stop - joints.start for joints in self.chain.module_slices)
         self.segmentation = report.segmentation if report else Segmentation(sizes, "control points as given")
         if characteristic_length is None:
@@ -338,7 +338,7 @@ class Arm(ConfigurationSpace):
             UnknownName: `base`, `tip`, a locked joint or an argument of xacro does not exist.
             InvalidValue: `split` does not fit the chain, or another argument is invalid.
         """
-        given: dict[str, Any] = {
+        options: dict[str, Any] = {
             "base": base,
             "tip": tip,
             "split": split,
@@ -347,7 +347,7 @@ class Arm(ConfigurationSpace):
             "couplings": couplings,
             "xacro_args": xacro_args,
         }
-        chosen = {name: value for name, value in given.items() if value is not None}
+        chosen = {name: value for name, value in options.items() if value is not None}
         chain = ArmSpec(**chosen, hard_limits=hard_limits)
         loaded = load_model(source, chain, chain.split, base_placement)
         # A name does not identify the text.
@@ -400,10 +400,10 @@ class Arm(ConfigurationSpace):
             InvalidValue: the frames are not in order along one chain, or a lower limit is above the upper.
         """
         require_instance("model", model, pin.Model, "a pin.Model")
-        own = ModelData.of(model).build()  # as it would be loaded
+        rebuilt = ModelData.of(model).build()  # as it would be loaded
         placement = rigid_placement("base_placement", base_placement)
-        place_base(own, placement)
-        return cls(own, control_points, placement)
+        place_base(rebuilt, placement)
+        return cls(rebuilt, control_points, placement)
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON-compatible data from which `from_dict` rebuilds this arm."""
@@ -497,10 +497,10 @@ class Arm(ConfigurationSpace):
         They differ from `joint_names` where the first of coupled joints on the chain, which stands for all of
         them, follows another joint in the description. They map positions, velocities and torques both ways.
         """
-        behind = {each.leader: each for each in self.report.drives} if self.report else {}
+        behind = {drive.leader: drive for drive in self.report.drives} if self.report else {}
         joints = zip(self.joint_names, self.in_metres, strict=True)
-        own = [Drive(name, name, 1.0, 0.0, not slides) for name, slides in joints]
-        return DrivenJoints(behind.get(each.leader, each) for each in own)
+        alone = [Drive(name, name, 1.0, 0.0, not slides) for name, slides in joints]
+        return DrivenJoints(behind.get(drive.leader, drive) for drive in alone)
 
     @cached_property
     def columns(self) -> NDArray[np.intp]:
@@ -575,8 +575,8 @@ class Arm(ConfigurationSpace):
         Raises:
             InvalidValue: wrong size or not finite.
         """
-        given = finite_vector("positions", positions, self.nv)
-        return self.configuration(np.where(self.in_metres, given, np.deg2rad(given)))
+        checked = finite_vector("positions", positions, self.nv)
+        return self.configuration(np.where(self.in_metres, checked, np.deg2rad(checked)))
 
     def to_degrees(self, q: ArrayLike) -> Array:
         """Return the joint positions of a configuration (nq,), (nv,), in degrees; slides in metres."""
@@ -621,8 +621,8 @@ class Arm(ConfigurationSpace):
         start = np.where(self.slides | (not straight), 1e-3 * units, 0.0)
         bounds = list(zip(lower / units, upper / units, strict=True))
         start = np.clip(start, lower, upper) / units
-        found = minimize(negative_reach, start, jac=True, bounds=bounds, method="L-BFGS-B").x
-        return np.asarray(np.clip(found * units, lower, upper))
+        farthest = minimize(negative_reach, start, jac=True, bounds=bounds, method="L-BFGS-B").x
+        return np.asarray(np.clip(farthest * units, lower, upper))
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:
@@ -678,8 +678,8 @@ class Arm(ConfigurationSpace):
         Raises:
             InvalidValue: not (nv,) finite numbers, or so far outside that they may be in degrees.
         """
-        given = finite_vector(name, positions, self.nv)
-        check_joint_positions(name, given, self.limits, self.slides, self.joint_names)
+        checked = finite_vector(name, positions, self.nv)
+        check_joint_positions(name, checked, self.limits, self.slides, self.joint_names)
 
     @cached_property
     def unlimited(self) -> NDArray[np.bool_]:
@@ -957,8 +957,8 @@ class Arm(ConfigurationSpace):
         Raises:
             InvalidValue: not three finite numbers.
         """
-        given = None if gravity is None else tuple(finite_vector("gravity", gravity, 3).tolist())
-        return self.with_weight(replace(self.weight, gravity=given))
+        vector = None if gravity is None else tuple(finite_vector("gravity", gravity, 3).tolist())
+        return self.with_weight(replace(self.weight, gravity=vector))
 
     def with_weight(self, weight: Weight) -> Arm:
         """Return the same arm with another weight: all that is known of it beyond the description.
@@ -1637,12 +1637,12 @@ def kept(arm: Arm, kind: object, key: Hashable, make: Callable[[], Kept]) -> Kep
         make: makes the value.
     """
     values: dict[Hashable, Kept] = arm.cache.setdefault(kind, {})
-    found = values.get(key)
-    if found is None:
-        found = values[key] = make()
+    kept = values.get(key)
+    if kept is None:
+        kept = values[key] = make()
         for oldest in list(values)[:-MAX_KEPT]:
             values.pop(oldest, None)  # another thread may have done so
-    return found
+    return kept
 
 
 # Of configurations that are known to be some of the arm: checked before, or computed from such.

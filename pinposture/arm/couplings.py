@@ -87,19 +87,19 @@ class DrivenJoints(tuple[Drive, ...]):
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the joints, (nv,)."""
-        return tuple(each.joint for each in self)
+        return tuple(joint.joint for joint in self)
 
     @cached_property
     def ratios(self) -> Array:
         """Motion of each joint per motion of its degree of freedom, (nv,), read-only."""
-        ratios = np.array([each.ratio for each in self])
+        ratios = np.array([joint.ratio for joint in self])
         make_read_only(ratios)
         return ratios
 
     @cached_property
     def offsets(self) -> Array:
         """Position of each joint when its degree of freedom is at zero, (nv,) [rad or m], read-only."""
-        offsets = np.array([each.offset for each in self])
+        offsets = np.array([joint.offset for joint in self])
         make_read_only(offsets)
         return offsets
 
@@ -149,13 +149,13 @@ class DrivenJoints(tuple[Drive, ...]):
         """
         if not isinstance(positions, Mapping):
             return np.asarray((self._rows("positions", positions) - self.offsets) / self.ratios)
-        found = self.find(positions)
-        missing = [each.joint for column, each in enumerate(self) if column not in found]
+        known = self.find(positions)
+        missing = [drive.joint for column, drive in enumerate(self) if column not in known]
         if missing:
             lacking = enumerated(list(map(repr, missing)), 6)
             allowed = f"positions of all {len(self)} joints that drives move (missing: {lacking})"
             raise InvalidValue("positions", list(positions), allowed)
-        return np.array([found[column] for column in range(len(self))])
+        return np.array([known[column] for column in range(len(self))])
 
     def joint_velocities(self, velocities: ArrayLike) -> Array:
         """Return the velocities along the degrees of freedom, (..., nv); the inverse of `velocities`."""
@@ -179,15 +179,15 @@ class DrivenJoints(tuple[Drive, ...]):
             InvalidValue: not a finite number.
         """
         require_instance("positions", positions, Mapping, "joint positions by the names of joints")
-        found: dict[int, float] = {}
+        known: dict[int, float] = {}
         for name, (column, ratio, offset) in self._by_name.items():
             if name in positions:
                 position = positions[name]
                 if not (is_number(position) and abs(position) <= LARGEST_COORDINATE):
                     allowed = f"a finite number of at most {LARGEST_COORDINATE:g} in size [rad or m]"
                     raise InvalidValue(f"position of joint {name!r}", position, allowed)
-                found[column] = (float(position) - offset) / ratio
-        return found
+                known[column] = (float(position) - offset) / ratio
+        return known
 
     def named(self, values: ArrayLike) -> dict[str, float]:
         """Return values of the driven joints, (nv,), such as `Tracker.positions`, by the names of these.
@@ -204,9 +204,9 @@ class DrivenJoints(tuple[Drive, ...]):
         Joints with several degrees of freedom, off the chain of a model, are left out.
         """
         count = Counter(self.names)
-        single = [(column, each) for column, each in enumerate(self) if count[each.joint] == 1]
-        joints = {each.leader: (column, 1.0, 0.0) for column, each in single}
-        return joints | {each.joint: (column, each.ratio, each.offset) for column, each in single}
+        single = [(column, drive) for column, drive in enumerate(self) if count[drive.joint] == 1]
+        joints = {drive.leader: (column, 1.0, 0.0) for column, drive in single}
+        return joints | {drive.joint: (column, drive.ratio, drive.offset) for column, drive in single}
 
     def _rows(self, name: str, values: ArrayLike) -> Array:
         rows = finite_array(name, values)
@@ -241,21 +241,21 @@ class CoupledJoints(NamedTuple):
 
 
 def with_couplings(
-    description: Description, given: Mapping[str, str | tuple[str, float] | tuple[str, float, float]]
+    description: Description, couplings: Mapping[str, str | tuple[str, float] | tuple[str, float, float]]
 ) -> Description:
     """Add couplings given by the user to a description.
 
     Args:
         description: the description.
-        given: for each following joint, the name of its leader; or the name and a ratio; or the name, a
+        couplings: for each following joint, the name of its leader; or the name and a ratio; or the name, a
             ratio, and an offset [rad or m].
 
     Raises:
         UnknownName: a joint does not exist.
     """
     joints = {joint.name: joint for joint in description.joints}
-    for name, leader in given.items():
-        require_known("moving joint", name, [each for each in joints if joints[each].type in CHAIN_JOINTS])
+    for name, leader in couplings.items():
+        require_known("moving joint", name, [joint for joint in joints if joints[joint].type in CHAIN_JOINTS])
         joints[name] = replace(
             joints[name], follows=Follows(leader) if isinstance(leader, str) else Follows(*leader)
         )
@@ -288,9 +288,9 @@ def find_couplings(
         if follows.joint not in still and (leader is joint or leader.moves) and follows.multiplier != 0.0:
             groups.setdefault(follows.joint, []).append((joint, follows))
     moving = {joint.name for group in groups.values() for joint, _ in group}
-    found = CoupledJoints([joint for joint in chain if joint.name in moving], [], {}, [])
+    coupled = CoupledJoints([joint for joint in chain if joint.name in moving], [], {}, [])
     for name, group in groups.items():
-        first, own = group[0]
+        first, coupling = group[0]
         members = group
         if len(group) == 1 and name == first.name:
             continue
@@ -300,13 +300,13 @@ def find_couplings(
         upper = math.inf
         velocity = math.inf
         for joint, follows in members:
-            ratio = follows.multiplier / own.multiplier
-            offset = follows.offset - ratio * own.offset
+            ratio = follows.multiplier / coupling.multiplier
+            offset = follows.offset - ratio * coupling.offset
             if joint is not first and joint.name in moving:
-                found.couplings.append(Coupling(joint.name, first.name, ratio, offset))
+                coupled.couplings.append(Coupling(joint.name, first.name, ratio, offset))
             if joint is not first and joint.name == name:
                 turns = joint.type != "prismatic"
-                found.drives.append(Drive(name, first.name, ratio, offset, turns))
+                coupled.drives.append(Drive(name, first.name, ratio, offset, turns))
             low, high = sorted(((joint.lower - offset) / ratio, (joint.upper - offset) / ratio))
             lower = max(lower, low)
             upper = min(upper, high)
@@ -316,8 +316,8 @@ def find_couplings(
             joints = ", ".join(repr(joint.name) for joint, _ in members[:8])
             reason = "their limits leave no room for a common motion"
             raise URDFError(description.source, f"coupled joints {joints}", reason)
-        found.ranges[first.name] = JointRange(lower, upper, velocity)
-    return found
+        coupled.ranges[first.name] = JointRange(lower, upper, velocity)
+    return coupled
 
 
 def _follow(
@@ -354,8 +354,10 @@ def coupled_turns(coupled: CoupledJoints) -> set[str]:
 
     They count turns, because a ratio of positions has no meaning for angles modulo a turn.
     """
-    names = {each.joint for each in coupled.couplings} | {each.leader for each in coupled.couplings}
-    names |= {each.leader for each in coupled.drives}
+    names = {coupling.joint for coupling in coupled.couplings} | {
+        coupling.leader for coupling in coupled.couplings
+    }
+    names |= {drive.leader for drive in coupled.drives}
     return {joint.name for joint in coupled.moving if joint.type == "continuous"} & names
 
 
@@ -365,7 +367,10 @@ def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
     It is rebuilt as a whole, because `pin.transformJointIntoMimic` copies it for each joint.
     """
     if coupled.couplings:
-        following = {each.joint: (each.leader, each.ratio, each.offset) for each in coupled.couplings}
+        following = {
+            coupling.joint: (coupling.leader, coupling.ratio, coupling.offset)
+            for coupling in coupled.couplings
+        }
         model = ModelData.of(model, following).build()
     for name, allowed in coupled.ranges.items():
         leader = model.joints[model.getJointId(name)]
@@ -401,7 +406,7 @@ def is_coupled(joint: pin.JointModel) -> bool:
 def joint_ratios(model: pin.Model, joints: Iterable[int]) -> Array:
     """Return the motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled."""
     coupled = set(model.mimicking_joints)
-    return np.array([model.joints[each].extract().scaling if each in coupled else 1.0 for each in joints])
+    return np.array([model.joints[joint].extract().scaling if joint in coupled else 1.0 for joint in joints])
 
 
 def joint_axes(model: pin.Model, joints: list[int]) -> tuple[Array, NDArray[np.bool_]]:
@@ -437,7 +442,7 @@ def read_couplings(model: pin.Model) -> tuple[Coupling, ...]:
     leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
     couplings = []
     for number in sorted(model.mimicking_joints):
-        own = joints[number].extract()
+        mimic = joints[number].extract()
         leader = str(leaders[joints[number].idx_v])
-        couplings.append(Coupling(str(names[number]), leader, float(own.scaling), float(own.offset)))
+        couplings.append(Coupling(str(names[number]), leader, float(mimic.scaling), float(mimic.offset)))
     return tuple(couplings)

@@ -67,8 +67,8 @@ class Description:
             while link not in depths:
                 path.append(link)
                 link = self.joint_before[link].parent
-            for number, each in enumerate(reversed(path), depths[link] + 1):
-                depths[each] = number
+            for number, link_on_path in enumerate(reversed(path), depths[link] + 1):
+                depths[link_on_path] = number
         return depths
 
     def chain(self, base: str, tip: str) -> tuple[JointDescription, ...]:
@@ -219,16 +219,16 @@ def _doubled_elements(robot: Element) -> tuple[str, ...]:
             groups = {f"<{tag}>": element.findall(tag) for tag in ONCE.get(element.tag, ())}
             if element.tag == "geometry":
                 groups = {"shapes": list(element)}
-            for what, found in groups.items():
-                if any(_content(each) != _content(found[0]) for each in found[1:]):
+            for what, shapes in groups.items():
+                if any(_content(shape) != _content(shapes[0]) for shape in shapes[1:]):
                     inside = "" if element is owner else f" in <{element.tag}>"
-                    counted = f"has {len(found)} different {what}{inside}: the first counts, as in ROS"
+                    counted = f"has {len(shapes)} different {what}{inside}: the first counts, as in ROS"
                     doubled.append(f"{owner.tag} {owner.get('name')!r} {counted}")
     return tuple(doubled)
 
 
 def _content(element: Element) -> tuple[str, dict[str, str], list[Any]]:
-    return element.tag, element.attrib, [_content(each) for each in element]
+    return element.tag, element.attrib, [_content(child) for child in element]
 
 
 def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source: str) -> str:
@@ -314,15 +314,15 @@ def _gripper_joints(description: Description) -> frozenset[str]:
         if joint.follows is not None and joint.follows.joint in named:
             leader = leading_joint(joint, named)
             groups[leader.name] |= {leader.name, joint.name}
-    found: set[str] = set()
+    grippers: set[str] = set()
     for group in groups.values():
         if _one_behind_the_other(description, group):
             continue
         after = set().union(*(_joints_below(description, named[name].child) for name in group)) - group
         if all(name not in named or named[name].follows is not None for name in after):
-            found |= group
+            grippers |= group
     moving = {name for name, joint in named.items() if joint.follows is None}
-    return frozenset() if moving <= found else frozenset(found)
+    return frozenset() if moving <= grippers else frozenset(grippers)
 
 
 def _one_behind_the_other(description: Description, group: set[str]) -> bool:

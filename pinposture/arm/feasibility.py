@@ -131,18 +131,18 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
     joints = chain.module_slices[module]
     reachable = []
     for column in dict.fromkeys(chain.columns[joints].tolist()):
-        own = np.flatnonzero(chain.columns[joints] == column) + joints.start
-        amounts = chain.ratios[own] * chain.revolute[own]
-        turn = amounts @ chain.axes[own]
+        driven = np.flatnonzero(chain.columns[joints] == column) + joints.start
+        amounts = chain.ratios[driven] * chain.revolute[driven]
+        turn = amounts @ chain.axes[driven]
         size = float(np.linalg.norm(turn))
         if size < 1e-12 or np.linalg.norm(turn - along * (along @ turn)) < 0.1 * size:
             continue
         # A section of coupled joints is itself curved, so half a turn still resolves the shape of the curve.
-        most = (QUARTER_TURN if len(own) == 1 else 2.0 * QUARTER_TURN) / size
+        most = (QUARTER_TURN if len(driven) == 1 else 2.0 * QUARTER_TURN) / size
         bends = []
         for limit in (lower[column], upper[column]):
             values = np.linspace(0.0, np.clip(limit, -most, most), 91)
-            bends.append(float(_module_curvature(chain, module, own, values).max()))
+            bends.append(float(_module_curvature(chain, module, driven, values).max()))
         reachable.append(min(bends))
     return min(reachable, default=0.0)
 
@@ -158,12 +158,12 @@ def _module_curvature(chain: Chain, module: int, joints: NDArray[np.intp], value
     shift = np.zeros((len(values), 3))
     for u in joints:
         amount = chain.ratios[u] * values[:, None] * chain.axes[u]
-        place = turn.apply(chain.origins[u]) + shift
+        origins = turn.apply(chain.origins[u]) + shift
         if chain.revolute[u]:
             turn = turn * Rotation.from_rotvec(amount)
         else:
-            place += turn.apply(amount)
-        shift = place - turn.apply(chain.origins[u])
+            origins += turn.apply(amount)
+        shift = origins - turn.apply(chain.origins[u])
     displacements = turn.apply(chain.points[module]) + shift - start
     turns = turn.as_rotvec()
     angles = np.maximum(np.linalg.norm(turns, axis=1), 1e-12)

@@ -41,9 +41,9 @@ def neutral_placements(model: pin.Model) -> list[pin.SE3]:
     `pin.Data` holds the same placements, but does not fit into memory for an arm of 1,000 joints.
     """
     placements = [pin.SE3.Identity()]
-    own = joint_placements(model)
+    local = joint_placements(model)
     for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
-        placements.append(placements[model.parents[joint]] * own[joint])
+        placements.append(placements[model.parents[joint]] * local[joint])
     return placements
 
 
@@ -67,13 +67,13 @@ def read_joints(
     simple = [u for u, name in enumerate(names) if name == "Mimic" or (name[0] in "RP" and name != "Planar")]
     if simple:
         which = [numbers[u] for u in simple]
-        local, revolute = joint_axes(model, which)
+        own_axes, revolute = joint_axes(model, which)
         kinds[simple] = np.where(revolute, TURNS, SLIDES)
         rotations = np.array([placements[number].rotation for number in which])
-        axes[simple] = np.einsum("nij,nj->ni", rotations, local)
+        axes[simple] = np.einsum("nij,nj->ni", rotations, own_axes)
         ratios[simple] = joint_ratios(model, which)
-    own = joint_placements(model)
-    shifts = [placements[model.parents[number]].rotation @ own[number].translation for number in numbers]
+    local = joint_placements(model)
+    shifts = [placements[model.parents[number]].rotation @ local[number].translation for number in numbers]
     return Joints(
         parents=parents if chain is None else np.arange(len(numbers), dtype=np.int64),
         kinds=kinds,
@@ -323,9 +323,9 @@ class Chain:
         if len(self.plane) == 2:
             return bound
         for k, joints in enumerate(self.module_slices):
-            own = self.axes[joints], self.origins[joints], self.revolute[joints]
+            hinges = self.axes[joints], self.origins[joints], self.revolute[joints]
             alone = joints.stop - joints.start == 1
-            bound[k] = alone or plane_normal(*own, self.points[k], self.length) is not None
+            bound[k] = alone or plane_normal(*hinges, self.points[k], self.length) is not None
         return bound
 
     @cached_property
@@ -414,16 +414,16 @@ def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
         UnknownName: there is no such frame.
     """
     kinds = (pin.FrameType.OP_FRAME, pin.FrameType.BODY)
-    found: dict[str, int] = {}
+    frames_by_name: dict[str, int] = {}
     preferred: set[str] = set()
     for index, frame in enumerate(model.frames):
-        found.setdefault(frame.name, index)
+        frames_by_name.setdefault(frame.name, index)
         if frame.type in kinds and frame.name not in preferred:
             preferred.add(frame.name)
-            found[frame.name] = index
+            frames_by_name[frame.name] = index
     for name in names:
-        require_known("frame", name, found)
-    return [found[name] for name in names]
+        require_known("frame", name, frames_by_name)
+    return [frames_by_name[name] for name in names]
 
 
 IntArray = NDArray[np.int64]
@@ -455,7 +455,7 @@ class FrameReader:
         # `data.J` has columns for all joints, coupled ones too; this is the degree of freedom of each.
         moving = [joint for joint in model.joints[1:] if joint.nvExtended]
         listed = [range(joint.idx_v, joint.idx_v + joint.nvExtended) for joint in moving]
-        self._columns = np.array([column for each in listed for column in each])
+        self._columns = np.array([column for columns in listed for column in columns])
         self._coupled = len(self._columns) > model.nv
 
     def _buffers(self) -> tuple[pin.Data, list[Array], list[Array], list[Array]]:
@@ -514,9 +514,9 @@ class FrameReader:
         rotations = np.concatenate(orientations)
         motions = np.array(data.J.reshape(6, -1).T, order="C")
         if self._coupled:
-            each = motions
+            joint_motions = motions
             motions = np.zeros((self._model.nv, 6))
-            np.add.at(motions, self._columns, each)
+            np.add.at(motions, self._columns, joint_motions)
         return Frames(origins.reshape(-1, 3), points.reshape(m, 3), rotations.reshape(m, 3, 3), motions)
 
 
@@ -565,9 +565,9 @@ class Kinematics:
         """
         joints = [model.getJointId(name) for name in chain.joints]
         placements = neutral_placements(model)
-        own = read_joints(model, placements, joints)
+        joints_read = read_joints(model, placements, joints)
         self.endless = np.zeros(model.nv, dtype=np.bool_)
-        for number, kind in zip(joints, own.kinds, strict=True):
+        for number, kind in zip(joints, joints_read.kinds, strict=True):
             joint = model.joints[number]
             if kind == OTHERWISE:
                 allowed = "a joint that turns about one axis, or slides along one"
@@ -580,7 +580,7 @@ class Kinematics:
         carriers = [placements[joints[end - 1]].rotation for end in ends]
         points = [model.frames[frame].placement for frame in frames]
         self.constants = chain_arrays(
-            joints=own,
+            joints=joints_read,
             ends=ends,
             levers=np.array([r @ point.translation for r, point in zip(carriers, points, strict=True)]),
             turns=np.array([r @ point.rotation for r, point in zip(carriers, points, strict=True)]),

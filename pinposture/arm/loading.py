@@ -106,8 +106,8 @@ def load_model(
     base = spec.base
     tip = spec.tip
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
-    found = find_urdf(source, spec.package_dirs, spec.xacro_args)
-    read = with_couplings(read_description(found.urdf, found.name), spec.couplings)
+    file = find_urdf(source, spec.package_dirs, spec.xacro_args)
+    read = with_couplings(read_description(file.urdf, file.name), spec.couplings)
     description = read if spec.hard_limits else with_soft_limits(read)
     links = _link_names(split)
     if tip is None and links:
@@ -141,7 +141,7 @@ def load_model(
         warnings.append(segmentation.reason)
     if wrist is not None:
         warnings.append(f"the arm ends in a finger, at link {tip!r}; tip={wrist!r} ends it before the hand")
-    folders = _mesh_folders(found, spec.package_dirs)
+    folders = _mesh_folders(file, spec.package_dirs)
     narrowed = soft_limited(description, read, names)
     decided = (folders, tuple(warnings), segmentation, narrowed, tuple(coupled.drives))
     report = LoadReport(base, tip, *decided)
@@ -162,8 +162,8 @@ def description_text(
     source: str | Path, package_dirs: Sequence[Path] = (), xacro_args: Mapping[str, str] | None = None
 ) -> str:
     """Return the URDF text that `Arm.urdf` would be if an arm were loaded from a source."""
-    found = find_urdf(source, package_dirs, xacro_args)
-    return read_description(found.urdf, found.name).text
+    file = find_urdf(source, package_dirs, xacro_args)
+    return read_description(file.urdf, file.name).text
 
 
 def _check_length(length: float, source: str, chain: str) -> None:
@@ -180,7 +180,7 @@ def _segmentation(skeleton: Skeleton, split: Split | None) -> Segmentation:
         return segment(skeleton)
     if isinstance(split, int):
         return equal_modules(len(skeleton.names), split)
-    return given_modules(len(skeleton.names), [each for each in split if isinstance(each, int)])
+    return given_modules(len(skeleton.names), [size for size in split if isinstance(size, int)])
 
 
 def place_base(model: pin.Model, placement: pin.SE3) -> None:
@@ -196,14 +196,14 @@ def place_base(model: pin.Model, placement: pin.SE3) -> None:
 
 def _link_names(split: Split | None) -> tuple[str, ...]:
     """Return the links at which modules end, if they are given by these."""
-    return tuple(each for each in split if isinstance(each, str)) if isinstance(split, tuple) else ()
+    return tuple(name for name in split if isinstance(name, str)) if isinstance(split, tuple) else ()
 
 
-def _mesh_folders(found: Source, given: Sequence[Path]) -> tuple[str, ...]:
+def _mesh_folders(file: Source, searched: Sequence[Path]) -> tuple[str, ...]:
     """Return the folders to search for meshes: those given, those of the source, that of the file."""
-    folders = [*map(str, given), *found.folders]
-    if not is_urdf_text(found.urdf):
-        folders.append(str(Path(found.urdf).absolute().parent))
+    folders = [*map(str, searched), *file.folders]
+    if not is_urdf_text(file.urdf):
+        folders.append(str(Path(file.urdf).absolute().parent))
     return tuple(dict.fromkeys(folders))
 
 

@@ -85,17 +85,17 @@ class Substituted(dict[str, Any]):
         return convert_value(self.arguments[name], "auto")
 
 
-def read_arguments(given: object) -> dict[str, str]:
+def read_arguments(arguments: object) -> dict[str, str]:
     """Return xacro arguments as text; raise InvalidValue unless they are numbers, truth values or text."""
     allowed = "a mapping from names of arguments to text, numbers or truth values, or None"
-    if given is None:
+    if arguments is None:
         return {}
-    if not isinstance(given, Mapping):
-        raise InvalidValue("xacro_args", given, allowed)
+    if not isinstance(arguments, Mapping):
+        raise InvalidValue("xacro_args", arguments, allowed)
     read: dict[str, str] = {}
-    for name, value in given.items():
+    for name, value in arguments.items():
         if not isinstance(name, str) or not name.strip():
-            raise InvalidValue("xacro_args", given, allowed)
+            raise InvalidValue("xacro_args", arguments, allowed)
         if isinstance(value, bool):
             read[name] = str(value).lower()
         elif isinstance(value, str) or is_number(value):
@@ -172,7 +172,7 @@ def _blame(error: BaseException, label: str, arguments: Arguments) -> None:
 
 def _require_links(root: Any, label: str, arguments: Arguments) -> None:
     """Raise URDFError for a robot without links, which depend on arguments or are those of macros."""
-    if root.tagName != "robot" or any(getattr(each, "tagName", "") == "link" for each in root.childNodes):
+    if root.tagName != "robot" or any(getattr(node, "tagName", "") == "link" for node in root.childNodes):
         return
     reason = "has no links once its macros are expanded"
     if arguments:
@@ -195,11 +195,11 @@ def _find_package(folders: Sequence[Path], reading: Sequence[str | None]) -> Cal
     """Return the function that finds packages: in folders, above the files being read, in the environment."""
 
     def find(name: str) -> str:
-        files = [Path(each).absolute().parent for each in reversed(reading) if each]
+        files = [Path(file).absolute().parent for file in reversed(reading) if file]
         searched = package_folders(())
-        found = chain(find_packages(name, folders, files), find_packages(name, searched))
+        packages = chain(find_packages(name, folders, files), find_packages(name, searched))
         unnamed = None  # a folder of that name that is no package
-        for folder in found:
+        for folder in packages:
             if package_name(folder) == name:
                 return str(folder)
             if unnamed is None and folder.is_dir():
@@ -222,9 +222,9 @@ def _adapted(xacro: Any, arguments: Arguments, folders: Sequence[Path]) -> Itera
     def find(name: str) -> str:
         return _find_package(folders, xacro.filestack)(name)
 
-    def parse(given: Any, filename: str | None = None) -> Any:
-        if given is not None or filename is None:
-            return given
+    def parse(text: Any, filename: str | None = None) -> Any:
+        if text is not None or filename is None:
+            return text
         path = Path(xacro.root_dir, filename)
         try:
             return _parsed(read_xml(path), str(path), arguments)
@@ -280,17 +280,17 @@ def _adapted(xacro: Any, arguments: Arguments, folders: Sequence[Path]) -> Itera
         (vars(color), "print", log),
     ]
     nothing = object()
-    before = [place.get(name, nothing) for place, name, _ in replaced]
-    for place, name, value in replaced:
-        place[name] = value
+    before = [table.get(name, nothing) for table, name, _ in replaced]
+    for table, name, value in replaced:
+        table[name] = value
     try:
         yield
     finally:
-        for (place, name, _), value in zip(replaced, before, strict=True):
+        for (table, name, _), value in zip(replaced, before, strict=True):
             if value is nothing:
-                del place[name]
+                del table[name]
             else:
-                place[name] = value
+                table[name] = value
 
 
 def one_line(error: Exception) -> str:

@@ -202,8 +202,8 @@ class _Compiled(NamedTuple):
 
     def name(self, kind: str, index: int) -> str:
         """Return the name of an object, such as an "EQUALITY", or its number."""
-        given = self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), index)
-        return repr(given) if given else f"number {index + 1}"
+        label = self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), index)
+        return repr(label) if label else f"number {index + 1}"
 
     def moves_one_way(self, joint: int) -> bool:
         """Return whether a joint is a hinge or a slide."""
@@ -252,16 +252,18 @@ def _read_names(mujoco: Any, model: Any) -> _Names:
     objects = mujoco.mjtObj
     bodies = [name(objects.mjOBJ_BODY, index) for index in range(model.nbody)]
     links = set(bodies)
-    bodies = [each or free_name(f"body_{index}", links) for index, each in enumerate(bodies)]
+    bodies = [body or free_name(f"body_{index}", links) for index, body in enumerate(bodies)]
     joints = [name(objects.mjOBJ_JOINT, index) for index in range(model.njnt)]
     taken = set(joints)
     owners = [bodies[body] for body in model.jnt_bodyid]
-    joints = [each or free_name(f"{owner}_joint", taken) for each, owner in zip(joints, owners, strict=True)]
+    joints = [
+        joint or free_name(f"{owner}_joint", taken) for joint, owner in zip(joints, owners, strict=True)
+    ]
     sites = {}
     for index in range(model.nsite):
-        given = name(objects.mjOBJ_SITE, index)
-        if given:
-            sites[index] = free_name(f"{given}_site" if given in links else given, links)
+        label = name(objects.mjOBJ_SITE, index)
+        if label:
+            sites[index] = free_name(f"{label}_site" if label in links else label, links)
     return _Names(bodies, joints, sites, links, taken)
 
 
@@ -518,9 +520,12 @@ def _drive_limits(compiled: _Compiled, joint: int) -> tuple[float, float]:
     """Return the largest torque or force and speed of a joint that follow from its actuators, or infinity."""
     model = compiled.model
     transmissions = compiled.mujoco.mjtTrn
-    own = np.isin(model.actuator_trntype, [transmissions.mjTRN_JOINT, transmissions.mjTRN_JOINTINPARENT])
+    of_joints = np.isin(
+        model.actuator_trntype, [transmissions.mjTRN_JOINT, transmissions.mjTRN_JOINTINPARENT]
+    )
     drives = [
-        _drive(compiled, int(each)) for each in np.flatnonzero(own & (model.actuator_trnid[:, 0] == joint))
+        _drive(compiled, int(actuator))
+        for actuator in np.flatnonzero(of_joints & (model.actuator_trnid[:, 0] == joint))
     ]
     effort = sum(drive.effort for drive in drives) if drives else np.inf
     if model.jnt_actfrclimited[joint]:
@@ -635,9 +640,9 @@ def _write_mesh(link: ET.Element, kind: str, model: Any, shape: int, file: str) 
     mesh = int(model.geom_dataid[shape])
     placement = _placement(model.geom_pos[shape], model.geom_quat[shape])
     moved = _placement(model.mesh_pos[mesh], model.mesh_quat[mesh])
-    own = placement * moved.inverse()
+    of_file = placement * moved.inverse()
     scale = {"scale": model.mesh_scale[mesh]}
-    write_shape(link, kind, ShapeDescription.placed("mesh", scale, own, file))
+    write_shape(link, kind, ShapeDescription.placed("mesh", scale, of_file, file))
 
 
 def _write_solid(link: ET.Element, compiled: _Compiled, shape: int) -> None:
@@ -686,9 +691,9 @@ def _add_solid(link: ET.Element, kind: str, placement: pin.SE3, **numbers: Array
 
 def _compare_limits(compiled: _Compiled, description: Description) -> None:
     """Raise URDFError if the limits of a joint differ from MuJoCo's, unless an equality holds it."""
-    found = {joint.name: joint for joint in description.joints}
+    joints = {joint.name: joint for joint in description.joints}
     for joint in filter(compiled.moves_one_way, range(compiled.model.njnt)):
-        written = found[compiled.names.joints[joint]]
+        written = joints[compiled.names.joints[joint]]
         edges = np.clip(compiled.edges(joint), -NO_LIMIT, NO_LIMIT)
         limits = np.clip((written.lower, written.upper), -NO_LIMIT, NO_LIMIT)
         if written.moves and np.any(limits != edges):

@@ -60,10 +60,10 @@ def build_model(text: str, source: str, unlimited: Collection[str] = ()) -> pin.
     needed = Element("robot", robot.attrib)
     for link in robot.findall("link"):
         made = SubElement(needed, "link", name=link.get("name", ""))
-        made.extend(each for each in link.findall("inertial") if _is_readable(each))
+        made.extend(element for element in link.findall("inertial") if _is_readable(element))
     for joint in robot.findall("joint"):
         made = SubElement(needed, "joint", joint.attrib)
-        made.extend(each for each in joint if each.tag in _JOINT_PARTS)
+        made.extend(element for element in joint if element.tag in _JOINT_PARTS)
         if joint.get("name") in unlimited:
             _remove_limits(made)
     try:
@@ -142,7 +142,7 @@ def model_to_urdf(model: pin.Model, label: str | Path = "pin.Model") -> str:
     for joint in range(model.njoints):
         named.setdefault(joint, free_name(f"{model.names[joint]}_link" if joint else "world", taken))
     SubElement(robot, "link", name=named[0])
-    followers = {each.joint: each for each in read_couplings(model)}
+    followers = {coupling.joint: coupling for coupling in read_couplings(model)}
     for joint in range(1, model.njoints):
         if model.names[joint] in followers:
             _write_follower(robot, model, joint, named, followers[model.names[joint]])

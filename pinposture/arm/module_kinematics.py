@@ -237,7 +237,7 @@ def unregister_module_kinematics(recognise: Recogniser) -> None:
     """
     if recognise not in _registry.functions:
         raise InvalidValue("recognise", recognise, "a function that was registered")
-    _registry.set(each for each in _registry.functions if each is not recognise)
+    _registry.set(function for function in _registry.functions if function is not recognise)
 
 
 def registry_state() -> int:
@@ -257,10 +257,10 @@ def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
         InvalidValue: a function returns another type, or kinematics that contradict the joints.
     """
     for recognise in _registry.functions:
-        found = recognise(joints)
-        if found is not None:
-            _check(recognise, found, joints)
-            return found
+        kinematics = recognise(joints)
+        if kinematics is not None:
+            _check(recognise, kinematics, joints)
+            return kinematics
     return None
 
 
@@ -271,11 +271,11 @@ def end_of(kinematics: ModuleKinematics, q: Array) -> tuple[Array, Array]:
         InvalidValue: it returns something else; names its class.
     """
     what = f"{type(kinematics).__name__}.forward(q)"
-    given = kinematics.forward(q)
-    if not (isinstance(given, tuple | list) and len(given) == 2):
-        raise InvalidValue(what, given, "two arrays: a position, (3,) [m], and an orientation, (3, 3)")
-    place = finite_array(f"{what}, position", given[0], (3,))
-    return place, finite_array(f"{what}, orientation", given[1], (3, 3))
+    end = kinematics.forward(q)
+    if not (isinstance(end, tuple | list) and len(end) == 2):
+        raise InvalidValue(what, end, "two arrays: a position, (3,) [m], and an orientation, (3, 3)")
+    position = finite_array(f"{what}, position", end[0], (3,))
+    return position, finite_array(f"{what}, orientation", end[1], (3, 3))
 
 
 def positions_for(kinematics: ModuleKinematics, p: Array) -> Iterator[Array]:
@@ -285,11 +285,11 @@ def positions_for(kinematics: ModuleKinematics, p: Array) -> Iterator[Array]:
         InvalidValue: it returns something else; names its class.
     """
     what = f"{type(kinematics).__name__}.inverse(p)"
-    given = kinematics.inverse(p)
-    if not isinstance(given, Iterable) or isinstance(given, str):
-        raise InvalidValue(what, given, "a list of joint positions; empty if the point is out of reach")
-    for number, each in enumerate(given):
-        yield finite_array(f"{what}[{number}]", each, (kinematics.dof,))
+    solutions = kinematics.inverse(p)
+    if not isinstance(solutions, Iterable) or isinstance(solutions, str):
+        raise InvalidValue(what, solutions, "a list of joint positions; empty if the point is out of reach")
+    for number, solution in enumerate(solutions):
+        yield finite_array(f"{what}[{number}]", solution, (kinematics.dof,))
 
 
 def point_after(kinematics: ModuleKinematics, base: pin.SE3, curve: Curve, start: float) -> float | None:
@@ -298,32 +298,37 @@ def point_after(kinematics: ModuleKinematics, base: pin.SE3, curve: Curve, start
     Raises:
         InvalidValue: it returns something else; names its class.
     """
-    found = kinematics.target_point(base, curve, start)
-    if found is None:
+    crossing = kinematics.target_point(base, curve, start)
+    if crossing is None:
         return None
-    if not (is_number(found) and start < found <= curve.length * (1.0 + 1e-12)):
+    if not (is_number(crossing) and start < crossing <= curve.length * (1.0 + 1e-12)):
         allowed = f"an arc length above {start:.6g} m, at most {curve.length:.6g} m, or None"
-        raise InvalidValue(f"{type(kinematics).__name__}.target_point(...)", found, allowed)
-    return float(found)
+        raise InvalidValue(f"{type(kinematics).__name__}.target_point(...)", crossing, allowed)
+    return float(crossing)
 
 
-def _check(recognise: Recogniser, found: object, joints: ModuleJoints) -> None:
+def _check(recognise: Recogniser, kinematics: object, joints: ModuleJoints) -> None:
     """Compare kinematics with the joints, within their own `tolerance` if they have one."""
     name = f"module kinematics of {getattr(recognise, '__qualname__', recognise)!s}"
-    if not isinstance(found, ModuleKinematics):
-        raise InvalidValue(name, found, "ModuleKinematics: dof, reach, forward, inverse and target_point")
+    if not isinstance(kinematics, ModuleKinematics):
+        raise InvalidValue(
+            name, kinematics, "ModuleKinematics: dof, reach, forward, inverse and target_point"
+        )
     listed = ", ".join(joints.names)
-    if not (is_whole(found.dof) and found.dof == joints.dof):
-        raise InvalidValue(f"{name}: dof", found.dof, f"{joints.dof}, as joints {listed} have")
-    length = max(require_positive(f"{name}: reach", found.reach), float(np.linalg.norm(joints.end)))
-    most = require_positive(f"{name}: tolerance", getattr(found, "tolerance", 0.0), zero=True) or FK_TOLERANCE
+    if not (is_whole(kinematics.dof) and kinematics.dof == joints.dof):
+        raise InvalidValue(f"{name}: dof", kinematics.dof, f"{joints.dof}, as joints {listed} have")
+    length = max(require_positive(f"{name}: reach", kinematics.reach), float(np.linalg.norm(joints.end)))
+    most = (
+        require_positive(f"{name}: tolerance", getattr(kinematics, "tolerance", 0.0), zero=True)
+        or FK_TOLERANCE
+    )
     low = np.maximum(joints.lower, -np.pi)
     high = np.minimum(joints.upper, np.pi)
     low, high = np.minimum(low, high), np.maximum(low, high)
     for q in np.random.default_rng(0).uniform(low, high, (CHECKED_POSTURES, joints.dof)):
-        place, turn = joints.forward(q)
-        at, facing = end_of(found, q)
-        apart = float(np.linalg.norm(at - place)) / length
+        position, turn = joints.forward(q)
+        at, facing = end_of(kinematics, q)
+        apart = float(np.linalg.norm(at - position)) / length
         turned = float(np.linalg.norm(facing - turn))
         if not max(apart, turned) <= most:
             values = ", ".join(f"{value:.4g}" for value in q)

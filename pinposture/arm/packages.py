@@ -18,20 +18,20 @@ _IGNORED = ("CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE")
 _SEARCH_DEPTH = 2  # levels of folders searched for packages, as in src/package; each costs ten times the last
 
 
-def package_folders(given: Iterable[str | Path]) -> list[Path]:
+def package_folders(folders: Iterable[str | Path]) -> list[Path]:
     """Return the folders in which to search for packages: those given, then those of the environment."""
     shared = [folder / "share" for folder in _listed("AMENT_PREFIX_PATH")]
-    return [*(Path(folder) for folder in given), *shared, *_listed("ROS_PACKAGE_PATH")]
+    return [*(Path(folder) for folder in folders), *shared, *_listed("ROS_PACKAGE_PATH")]
 
 
-def model_folders(given: Iterable[str | Path]) -> list[Path]:
+def model_folders(folders: Iterable[str | Path]) -> list[Path]:
     """Return the folders in which to search for models of Gazebo: those of packages, then its own."""
-    own = [folder for variable in MODEL_PATHS for folder in _listed(variable)]
-    return [*package_folders(given), *own]
+    of_gazebo = [folder for variable in MODEL_PATHS for folder in _listed(variable)]
+    return [*package_folders(folders), *of_gazebo]
 
 
 def _listed(variable: str) -> list[Path]:
-    return [Path(each) for each in os.environ.get(variable, "").split(os.pathsep) if each]
+    return [Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
 
 
 def find_packages(name: str, folders: Sequence[Path], reading: Sequence[Path] = ()) -> Iterator[Path]:
@@ -50,13 +50,13 @@ def find_packages(name: str, folders: Sequence[Path], reading: Sequence[Path] = 
     for folder in dict.fromkeys((*folders, *reading)):
         at = folder.absolute()
         above = (at, *at.parents)
-        yield from (each for each in above if package_name(each) == name)
-        yield from (each / name for each in above if package_name(each / name) == name)
+        yield from (parent for parent in above if package_name(parent) == name)
+        yield from (parent / name for parent in above if package_name(parent / name) == name)
         if folder in folders and at.parent != at:  # not a whole disk
-            yield from (each for each in _packages_below(at) if package_name(each) == name)
+            yield from (below for below in _packages_below(at) if package_name(below) == name)
     for folder in dict.fromkeys((*folders, *reading)):
         yield folder / name
-        yield from (each for each in (folder, *folder.parents) if each.name == name)
+        yield from (parent for parent in (folder, *folder.parents) if parent.name == name)
 
 
 def package_name(folder: Path) -> str:
@@ -74,14 +74,14 @@ def package_name(folder: Path) -> str:
 def _packages_below(top: Path) -> Iterator[Path]:
     """Yield the folders below one that have a package.xml, sorted; there are no packages inside of them."""
     try:
-        for place, inside, files in os.walk(top):
-            here = Path(place)
+        for current, inside, files in os.walk(top):
+            here = Path(current)
             if _MANIFEST in files:
                 yield here
             ends = _MANIFEST in files and here != top
             if ends or set(files) & set(_IGNORED) or len(here.parts) - len(top.parts) >= _SEARCH_DEPTH:
                 inside.clear()
-            inside[:] = sorted(each for each in inside if not each.startswith("."))
+            inside[:] = sorted(entry for entry in inside if not entry.startswith("."))
     except (OSError, ValueError):
         return
 

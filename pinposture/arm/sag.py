@@ -101,9 +101,9 @@ def settle(loads: Loads, root: Array, units: Array) -> Settled:
     step = 1.0
     while share < 1.0:
         trial = min(share + step, 1.0)
-        found = _rest_from(rest, trial, loads, root, units)
-        if found is not None:
-            rest = found
+        next_rest = _rest_from(rest, trial, loads, root, units)
+        if next_rest is not None:
+            rest = next_rest
             share = trial
             step = 2.0 * step
             continue

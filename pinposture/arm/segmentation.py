@@ -146,10 +146,10 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
     for start in range(n - 1, -1, -1):
         best[start] = best[start + 1]
         for stop in range(start + 1, min(start + SEGMENTATION.max_registered_joints, n) + 1):
-            own = columns[start:stop].tolist()
-            if any(first[column] < start or last[column] >= stop for column in own):
+            inner_columns = columns[start:stop].tolist()
+            if any(first[column] < start or last[column] >= stop for column in inner_columns):
                 continue  # coupled to joints outside
-            inputs = [first[column] for column in dict.fromkeys(own)]
+            inputs = [first[column] for column in dict.fromkeys(inner_columns)]
             part = slice(start, stop)
             limits = np.array([skeleton.lower[inputs], skeleton.upper[inputs]]) / skeleton.ratios[inputs]
             joints = joints_in_base_frame(
@@ -161,12 +161,12 @@ def _find_registered(skeleton: Skeleton) -> list[tuple[int, int, str]]:
                 ratios=skeleton.ratios[part],
                 limits=np.sort(limits, axis=0),
             )
-            found = registered_kinematics(joints)
-            if found is not None:
+            kinematics = registered_kinematics(joints)
+            if kinematics is not None:
                 covered, count, modules = best[stop]
                 entry = (covered + stop - start, count + 1)
                 if entry > best[start][:2]:
-                    best[start] = (*entry, [(start, stop, type(found).__name__), *modules])
+                    best[start] = (*entry, [(start, stop, type(kinematics).__name__), *modules])
     return best[0][2]
 
 
@@ -178,10 +178,10 @@ def _around_registered(skeleton: Skeleton, recognised: Sequence[tuple[int, int, 
     for start, stop, _ in (*recognised, (len(skeleton.names), 0, "")):
         if at < start:
             part = slice(at, start)
-            own = {name: getattr(skeleton, name)[part] for name in ("names", "axes", "revolute", "columns")}
-            own |= {name: getattr(skeleton, name)[part] for name in ("lower", "upper", "ratios")}
+            parts = {name: getattr(skeleton, name)[part] for name in ("names", "axes", "revolute", "columns")}
+            parts |= {name: getattr(skeleton, name)[part] for name in ("lower", "upper", "ratios")}
             between = _segment_unregistered(
-                replace(skeleton, stations=skeleton.stations[at : start + 1], **own)
+                replace(skeleton, stations=skeleton.stations[at : start + 1], **parts)
             )
             sizes.extend(between.sizes)
             can_follow = can_follow and between.can_follow is not False
@@ -208,8 +208,8 @@ def _segment_unregistered(skeleton: Skeleton) -> Segmentation:
                 usual = Counter(sizes).most_common(1)[0][1]
                 choices.append((len(sizes), usual, -head, -repetition.period, sizes, repetition))
     if choices:
-        *_, sizes, found = max(choices, key=lambda choice: choice[:4])
-        return _explain(skeleton, mobility, _cut_redundant(mobility, sizes), found)
+        *_, sizes, repetition = max(choices, key=lambda choice: choice[:4])
+        return _explain(skeleton, mobility, _cut_redundant(mobility, sizes), repetition)
     sizes = _merge_unplaceable(mobility, _best_cuts(mobility, 0, n, mobility.can_place))
     return _explain(skeleton, mobility, _cut_redundant(mobility, sizes), None)
 
@@ -224,7 +224,7 @@ def find_repetitions(skeleton: Skeleton) -> list[Repetition]:
     """
     links = _link_invariants(skeleton)
     n = len(skeleton.names)
-    found = []
+    repetitions = []
     for period in range(1, min(n // 2, SEGMENTATION.max_period) + 1):
         same_kind = skeleton.revolute[:-period] == skeleton.revolute[period:]
         difference = np.abs(links[:-period] - links[period:])
@@ -237,9 +237,9 @@ def find_repetitions(skeleton: Skeleton) -> list[Repetition]:
                 u += 1
             stop = u + period + (1 if u < n - period and same_kind[u] else 0)
             if stop - first >= 2 * period:
-                found.append(Repetition(period, first, stop))
+                repetitions.append(Repetition(period, first, stop))
             u += 1
-    return found
+    return repetitions
 
 
 def _link_invariants(skeleton: Skeleton) -> Array:
@@ -352,30 +352,30 @@ class EndMobility:
         """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in each sampled posture."""
         arm = self._skeleton
         count = SEGMENTATION.sampled_postures
-        place = np.zeros((count, 3))
+        end = np.zeros((count, 3))
         turn = np.broadcast_to(np.eye(3), (count, 3, 3))
         axes = []
         origins = []
         for u in range(first, stop):
             amount = self._positions[:, u, None] * arm.axes[u]
             axes.append(turn @ arm.axes[u])
-            origins.append(place)
+            origins.append(end)
             if arm.revolute[u]:
                 turn = turn @ Rotation.from_rotvec(amount).as_matrix()
             else:
-                place = place + np.einsum("sij,sj->si", turn, amount)
-            place = place + turn @ (arm.stations[u + 1] - arm.stations[u])
+                end = end + np.einsum("sij,sj->si", turn, amount)
+            end = end + turn @ (arm.stations[u + 1] - arm.stations[u])
         columns = [
-            np.cross(axis, place - origin) if turns else axis * self._pitch
+            np.cross(axis, end - origin) if turns else axis * self._pitch
             for axis, origin, turns in zip(axes, origins, arm.revolute[first:stop], strict=True)
         ]
         # Slides that carry the base keep their positions when the arm takes a shape.
         moved = np.where(arm.base_slides[first:stop], 0.0, np.stack(columns, axis=2))
         if not self._coupled:
-            return place, moved
+            return end, moved
         inputs = np.unique(self._inputs[first:stop], return_inverse=True)[1]
         sums = (inputs[:, None] == np.arange(inputs.max() + 1)) * self._ratios[first:stop, None]
-        return place, moved @ sums
+        return end, moved @ sums
 
 
 def _flat_ends(skeleton: Skeleton) -> list[int]:
@@ -424,8 +424,13 @@ def _best_cuts(
             if end in best and admissible(start, end):
                 placed, count, motion, cuts = best[end]
                 placed += mobility.can_place(start, end)
-                found = (placed, count + 1, min(motion, mobility.motion(start, end).hardest), [end, *cuts])
-                best[start] = max(best.get(start, found), found, key=lambda entry: entry[:3])
+                candidate = (
+                    placed,
+                    count + 1,
+                    min(motion, mobility.motion(start, end).hardest),
+                    [end, *cuts],
+                )
+                best[start] = max(best.get(start, candidate), candidate, key=lambda entry: entry[:3])
     return best[first][3] if first in best else [stop]
 
 
@@ -482,7 +487,7 @@ def _cut_redundant(mobility: EndMobility, sizes: Sequence[int]) -> list[int]:
 
 
 def _explain(
-    skeleton: Skeleton, mobility: EndMobility, sizes: Sequence[int], found: Repetition | None
+    skeleton: Skeleton, mobility: EndMobility, sizes: Sequence[int], repetition: Repetition | None
 ) -> Segmentation:
     n = len(skeleton.names)
     kind, directions = (
@@ -495,15 +500,15 @@ def _explain(
     usual = Counter(sizes).most_common(1)[0][0]
     bounds = np.cumsum([0, *sizes])
     bound = [k for k, (a, b) in enumerate(pairwise(bounds), 1) if not mobility.can_place(a, b)]
-    if found is None:
+    if repetition is None:
         does = "this is the largest number of modules that meet this need" + (
             ", and pieces of others" if bound else ""
         )
         parts = [need, f"no pattern of joints repeats; {does}"]
     else:
-        first = skeleton.names[found.first]
-        last = skeleton.names[found.stop - 1]
-        often = f"{count_joints(found.period)} at a time" if found.period > 1 else "joint by joint"
+        first = skeleton.names[repetition.first]
+        last = skeleton.names[repetition.stop - 1]
+        often = f"{count_joints(repetition.period)} at a time" if repetition.period > 1 else "joint by joint"
         does = "meets this need" if not bound else "is the most common one"
         repeats = f"the joints from {first!r} to {last!r} repeat {often}"
         parts = [need, f"{repeats}; a module of {count_joints(usual)} {does}"]
@@ -519,7 +524,9 @@ def _explain(
             f"modules {listed}: too few of their joints' axes differ, so that their ends move in one "
             "direction only and follow a curve in one plane at a time"
         )
-    return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, can_follow=not bound)
+    return Segmentation(
+        tuple(sizes), "; ".join(parts), repetition.period if repetition else None, can_follow=not bound
+    )
 
 
 def count_joints(count: int) -> str:

@@ -84,10 +84,10 @@ def _vectors(name: str, value: object) -> dict[str, Array]:
     names = (*POSITION_VECTORS, *MOTION_VECTORS)
     if not isinstance(value, Mapping) or set(value) != set(names):
         raise InvalidValue(name, value, f"vectors named {', '.join(names)}")
-    read = {each: as_floats(each, value[each], "numbers") for each in names}
-    for each, vector in read.items():
+    read = {key: as_floats(key, value[key], "numbers") for key in names}
+    for key, vector in read.items():
         if vector.ndim != 1 or np.isnan(vector).any():
-            raise InvalidValue(each, vector, "a vector of numbers")
+            raise InvalidValue(key, vector, "a vector of numbers")
     return read
 
 
@@ -142,19 +142,25 @@ class JointData(Declared):
         Raises:
             InvalidValue: a joint of a type that is not known here.
         """
-        own = joint.extract()
+        model = joint.extract()
         kind = _kind(joint)
         if kind == COMPOSITE:
-            parts = tuple(cls.of(part) for part in own.joints)
-            placements = _describe_placements(own.jointPlacements)
+            parts = tuple(cls.of(part) for part in model.joints)
+            placements = _describe_placements(model.jointPlacements)
             return cls(type=kind, parts=parts, placements=placements, **about)
         follows_already = kind == MIMIC
         if follows_already:  # only its text says what it was
-            kind = str(own).partition("Mimicking joint type: JointModel")[2].split("\n")[0]
-        known = [each for each in _PARAMETERS if not (follows_already and "pitch" in _PARAMETERS[each])]
+            kind = str(model).partition("Mimicking joint type: JointModel")[2].split("\n")[0]
+        known = [
+            candidate
+            for candidate in _PARAMETERS
+            if not (follows_already and "pitch" in _PARAMETERS[candidate])
+        ]
         if kind not in known:
             raise InvalidValue(f"type of joint {about['name']!r}", kind, ", ".join(known))
-        parameters: dict[str, Any] = {each: getattr(own, each, None) for each in _PARAMETERS[kind]}
+        parameters: dict[str, Any] = {
+            parameter: getattr(model, parameter, None) for parameter in _PARAMETERS[kind]
+        }
         if parameters and (ratio is not None or kind == ENDLESS):
             screw = np.ravel(joint.createData().S)
             if ratio is not None:
@@ -179,7 +185,10 @@ class JointData(Declared):
                 raise InvalidValue(f"{name} of joint {self.name!r}", None, f"that of a joint {self.type}")
         if self.type == ENDLESS:
             return _endless_joint(np.array(self.axis))
-        given = [np.array(each) if isinstance(each, tuple) else each for each in parameters.values()]
+        given = [
+            np.array(parameter) if isinstance(parameter, tuple) else parameter
+            for parameter in parameters.values()
+        ]
         return pin.JointModel(getattr(pin, f"JointModel{self.type}")(*given))
 
 
@@ -237,8 +246,8 @@ class ModelData(Declared):
             name = names[number]
             joint = joints[number]
             if _kind(joint) == MIMIC:
-                own = joint.extract()
-                added[name] = leaders[joint.idx_v], float(own.scaling), float(own.offset)
+                mimic = joint.extract()
+                added[name] = leaders[joint.idx_v], float(mimic.scaling), float(mimic.offset)
             elif name not in added:
                 positions += range(joint.idx_q, joint.idx_q + joint.nq)
                 motions += range(joint.idx_v, joint.idx_v + joint.nv)
@@ -255,11 +264,11 @@ class ModelData(Declared):
             joint_placements=_describe_placements(list(model.jointPlacements)[1:]),
             inertias=_describe_inertias(list(model.inertias)),
             frames=tuple(
-                (str(each.name), each.type.name, int(each.parentJoint), int(each.parentFrame))
-                for each in frames
+                (str(frame.name), frame.type.name, int(frame.parentJoint), int(frame.parentFrame))
+                for frame in frames
             ),
-            frame_placements=_describe_placements([each.placement for each in frames]),
-            frame_inertias=_describe_inertias([each.inertia for each in frames]),
+            frame_placements=_describe_placements([frame.placement for frame in frames]),
+            frame_inertias=_describe_inertias([frame.inertia for frame in frames]),
             vectors={name: np.asarray(getattr(model, name))[kept] for name, kept in vectors.items()},
         )
 
@@ -317,15 +326,15 @@ def _divided(products: Array, ratio: float) -> Array:
     so that a model does not change when it is described and built again.
     """
     quotients = products / ratio
-    found = quotients.copy()
+    rounded = quotients.copy()
     above = quotients
     below = quotients
     for _ in range(2):  # a product and a quotient are rounded by half a unit each
         above = np.nextafter(above, np.inf)
         below = np.nextafter(below, -np.inf)
         for near in (above, below):
-            found = np.where((ratio * found != products) & (ratio * near == products), near, found)
-    return np.asarray(found)
+            rounded = np.where((ratio * rounded != products) & (ratio * near == products), near, rounded)
+    return np.asarray(rounded)
 
 
 def _endless_joint(axis: Array) -> pin.JointModel:
@@ -347,9 +356,9 @@ def _following(
 ) -> pin.JointModel:
     """Return a joint that follows one of a model."""
     plain = {
-        str(model.names[number]): each
-        for number, each in enumerate(model.joints)
-        if number and each.nv == 1 and _kind(each) != MIMIC
+        str(model.names[number]): joint
+        for number, joint in enumerate(model.joints)
+        if number and joint.nv == 1 and _kind(joint) != MIMIC
     }
     require_known("leading joint", name, plain)
     leader = plain[name]
@@ -365,19 +374,19 @@ def _following(
 
 def _describe_placements(placements: Sequence[pin.SE3]) -> Array:
     """Return the first three rows of the homogeneous matrix of each, (n, 12)."""
-    matrices = [np.asarray(each.homogeneous)[:3].ravel() for each in placements]
+    matrices = [np.asarray(placement.homogeneous)[:3].ravel() for placement in placements]
     return np.array(matrices).reshape(-1, 12)
 
 
 def _poses(rows: Array | None) -> list[pin.SE3]:
-    return [] if rows is None else [pin.SE3(each[:, :3], each[:, 3]) for each in rows.reshape(-1, 3, 4)]
+    return [] if rows is None else [pin.SE3(row[:, :3], row[:, 3]) for row in rows.reshape(-1, 3, 4)]
 
 
 def _describe_inertias(inertias: Sequence[pin.Inertia]) -> Array:
     """Return mass, centre of mass, and the upper triangle of the moments about it of each, (n, 10)."""
-    bodies = [RigidBody.of(each) for each in inertias]
+    bodies = [RigidBody.of(inertia) for inertia in inertias]
     upper = np.triu_indices(3)
-    return np.array([[each.mass, *each.center, *each.inertia[upper]] for each in bodies]).reshape(-1, 10)
+    return np.array([[body.mass, *body.center, *body.inertia[upper]] for body in bodies]).reshape(-1, 10)
 
 
 def _inertia(row: Array) -> pin.Inertia:

@@ -69,8 +69,8 @@ def soft_limit_warnings(read: Description, names: list[str]) -> list[str]:
         messages.append(
             f"soft limits of {quote_joints(endless)} are not used, as continuous joints have no limits"
         )
-    limited = {name: each for name, each in soft.items() if name not in endless}
-    halves = [name for name, each in limited.items() if each.one_sided]
+    limited = {name: limits for name, limits in soft.items() if name not in endless}
+    halves = [name for name, limits in limited.items() if limits.one_sided]
     if halves:
         messages.append(
             f"<safety_controller> of {quote_joints(halves)} gives one of two soft limits; the other is 0, "
@@ -78,8 +78,8 @@ def soft_limit_warnings(read: Description, names: list[str]) -> list[str]:
         )
     beyond = [
         name
-        for name, each in limited.items()
-        if each.lower < by_name[name].lower or each.upper > by_name[name].upper
+        for name, limits in limited.items()
+        if limits.lower < by_name[name].lower or limits.upper > by_name[name].upper
     ]
     if beyond:
         messages.append(

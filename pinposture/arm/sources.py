@@ -57,13 +57,13 @@ def find_urdf(
     """
     arguments = xacro_args or {}
     if isinstance(source, pin.Model):
-        found = Source(model_to_urdf(source), name="pin.Model")
+        read = Source(model_to_urdf(source), name="pin.Model")
     else:
-        found = _find(source, folders, arguments)
-    if arguments and not found.macros:
+        read = _find(source, folders, arguments)
+    if arguments and not read.macros:
         allowed = "none: the source is not xacro, i.e. a file that ends in .xacro, or text with its namespace"
         raise InvalidValue("xacro_args", dict(arguments), allowed)
-    return found
+    return read
 
 
 def _find(source: str | Path, folders: Sequence[Path], arguments: Mapping[str, str]) -> Source:
@@ -103,19 +103,19 @@ def _find_by_name(name: str, searched: Sequence[Path], arguments: Mapping[str, s
         advice = f"to use names from robot_descriptions: {EXTRA}"
         raise FileError(name, f"no such file; {advice}") from None
     try:
-        found = import_module(f"robot_descriptions.{name}")
+        module = import_module(f"robot_descriptions.{name}")
     except ModuleNotFoundError:
         reason = "no such file, and no such name in robot_descriptions (`robot_descriptions list`)"
         raise FileError(name, reason) from None
     except Exception as error:  # from git or the network
         raise FileError(name, f"robot_descriptions cannot fetch it ({one_line(error)})") from error
-    inside = [Path(each) for each in (found.PACKAGE_PATH, found.REPOSITORY_PATH)]
-    folders = tuple(dict.fromkeys(str(each) for folder in inside for each in (folder, folder.parent)))
-    if hasattr(found, "URDF_PATH"):
-        return Source(Path(found.URDF_PATH), folders)
-    if hasattr(found, "XACRO_PATH"):
-        path = Path(found.XACRO_PATH)
-        own = read_arguments(getattr(found, "XACRO_ARGS", None))
-        return Source(expand_macros(path, arguments, searched, own), folders, str(path), macros=True)
-    folders = (str(Path(found.MJCF_PATH).absolute().parent), *folders)
-    return Source(mjcf_to_urdf(Path(found.MJCF_PATH), found.MJCF_PATH), folders, found.MJCF_PATH)
+    inside = [Path(path) for path in (module.PACKAGE_PATH, module.REPOSITORY_PATH)]
+    folders = tuple(dict.fromkeys(str(path) for folder in inside for path in (folder, folder.parent)))
+    if hasattr(module, "URDF_PATH"):
+        return Source(Path(module.URDF_PATH), folders)
+    if hasattr(module, "XACRO_PATH"):
+        path = Path(module.XACRO_PATH)
+        defaults = read_arguments(getattr(module, "XACRO_ARGS", None))
+        return Source(expand_macros(path, arguments, searched, defaults), folders, str(path), macros=True)
+    folders = (str(Path(module.MJCF_PATH).absolute().parent), *folders)
+    return Source(mjcf_to_urdf(Path(module.MJCF_PATH), module.MJCF_PATH), folders, module.MJCF_PATH)

@@ -169,12 +169,12 @@ def _read_folders(value: Any, info: ValidationInfo) -> tuple[Path, ...]:
     source = in_file(info)
     if source is None:
         listed = [value] if isinstance(value, str | Path) else value
-        if not is_list_of(lambda each: isinstance(each, str | Path))(listed):
+        if not is_list_of(lambda item: isinstance(item, str | Path))(listed):
             raise NotAllowed(value, "paths of folders")
-        return tuple(Path(each).absolute() for each in listed)
+        return tuple(Path(folder).absolute() for folder in listed)
     if not is_list_of(is_text)(value):
         raise NotAllowed(value, "a list of folders")
-    return tuple(settled(source.resolve(each)) for each in value)
+    return tuple(settled(source.resolve(source_path)) for source_path in value)
 
 
 def _read_xacro_args(value: object, info: ValidationInfo) -> dict[str, str]:
@@ -254,12 +254,12 @@ class ArmSpec(Declared):
 
     def __repr__(self) -> str:
         shown = []
-        for each in fields(self):
-            value = getattr(self, each.name)
+        for item in fields(self):
+            value = getattr(self, item.name)
             if value is None or value is False or value in ({}, ()):
                 continue
             text = f"{value[:60]}..." if isinstance(value, str) and len(value) > 60 else value
-            shown.append(f"{each.name}={text!r}")
+            shown.append(f"{item.name}={text!r}")
         return f"ArmSpec({', '.join(shown)})"
 
     @model_validator(mode="after")

@@ -91,13 +91,15 @@ class JointSpec:
         object.__setattr__(self, "ratio", _number("ratio", self.ratio, "a finite number"))
 
     def _check_limits(self) -> None:
-        given = (self.lower, self.upper)
+        limits = (self.lower, self.upper)
         if self.type == "continuous":
-            if given not in (_FULL_TURN, _NO_LIMITS):
-                raise InvalidValue("limits of a continuous joint", given, "none; a revolute joint has limits")
+            if limits not in (_FULL_TURN, _NO_LIMITS):
+                raise InvalidValue(
+                    "limits of a continuous joint", limits, "none; a revolute joint has limits"
+                )
             lower, upper = _NO_LIMITS
         else:
-            if self.type == "prismatic" and given == _FULL_TURN:
+            if self.type == "prismatic" and limits == _FULL_TURN:
                 raise InvalidValue("limits of a prismatic joint", None, "lower= and upper= [m], both given")
             lower = _number("lower", self.lower, "a finite number")
             upper = _number("upper", self.upper, "a finite number")

@@ -269,8 +269,8 @@ def read_joint(element: Element, source: str) -> JointDescription:
     kind = element.get("type")
     fault = partial(URDFError, source, f"joint {name!r}")
     if kind not in JOINT_TYPES:
-        found = "not given" if kind is None else repr(kind)
-        raise fault(f"type is {found}; allowed: {', '.join(JOINT_TYPES)}")
+        written = "not given" if kind is None else repr(kind)
+        raise fault(f"type is {written}; allowed: {', '.join(JOINT_TYPES)}")
     if name == "universe" and kind != "fixed":
         raise fault("has the name that Pinocchio uses for the world; rename it")
     parent = _read_link(element, "parent", fault)
@@ -305,7 +305,7 @@ def read_joint(element: Element, source: str) -> JointDescription:
         axis=axis,
         lower=lower,
         upper=upper,
-        **{each: limit[each] for each in ("velocity", "effort") if each in limit},
+        **{key: limit[key] for key in ("velocity", "effort") if key in limit},
         **(numbers["dynamics"] or {}),
         follows=follows,
         excluded=None if excluded is None else excluded.get("reason", ""),
@@ -368,13 +368,15 @@ def _read_part(part: Element, fault: MakeError) -> dict[str, float]:
             raise fault(f"<{tag}> has no {attribute}; it must have {' and '.join(required)}")
     if tag == "mimic" and "joint" not in part.attrib:
         raise fault("<mimic> names no joint")
-    given = [attribute for attribute in required + optional if attribute in part.attrib]
-    if tag == "dynamics" and not given:
+    attributes = [attribute for attribute in required + optional if attribute in part.attrib]
+    if tag == "dynamics" and not attributes:
         raise fault("<dynamics> has neither damping nor friction")
     unlimited = [
-        name for name in given if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
+        name
+        for name in attributes
+        if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
     ]
-    finite = [name for name in given if name not in unlimited]
+    finite = [name for name in attributes if name not in unlimited]
     words = [part.attrib[name] for name in finite]
     numbers = finite_numbers(words)
     if numbers is None:
@@ -431,8 +433,8 @@ def write_joint(robot: Element, joint: JointDescription) -> Element:
         SubElement(element, "dynamics", dynamics)
     if joint.follows is not None:
         leader, *numbers = joint.follows
-        given = dict(zip(_PARTS["mimic"][1], map(repr, numbers), strict=True))
-        SubElement(element, "mimic", {"joint": leader, **given})
+        attributes = dict(zip(_PARTS["mimic"][1], map(repr, numbers), strict=True))
+        SubElement(element, "mimic", {"joint": leader, **attributes})
     if joint.excluded is not None:
         SubElement(element, "excluded", reason=joint.excluded)
     return element
@@ -475,7 +477,7 @@ def read_inertials(text: str, source: str) -> dict[str, RigidBody]:
                     raise URDFError(source, f"link {name!r}", reason)
                 read[attribute] = numbers
         moments = np.zeros((3, 3))
-        moments[np.triu_indices(3)] = [read[each][0] for each in MOMENTS]
+        moments[np.triu_indices(3)] = [read[key][0] for key in MOMENTS]
         turn = pin.rpy.rpyToMatrix(*read["rpy"])
         moments = turn @ (moments + np.triu(moments, 1).T) @ turn.T
         bodies[name] = RigidBody(read["value"][0], np.array(read["xyz"]), moments)

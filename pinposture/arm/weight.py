@@ -138,7 +138,7 @@ def _of_drives(value: object, kinds: Sequence[str], what: str) -> float | dict[s
     if not all(isinstance(name, str) for name in value):  # type: ignore[attr-defined]
         raise NotAllowed(value, f"names of joints and their {what}")
     listed: Mapping[str, object] = value  # type: ignore[assignment]
-    return {name: read_within(name, read_bounded, each, kinds, 0.0) for name, each in listed.items()}
+    return {name: read_within(name, read_bounded, number, kinds, 0.0) for name, number in listed.items()}
 
 
 def _read_effort(value: object, _: ValidationInfo) -> float | dict[str, float]:
@@ -311,13 +311,13 @@ def weighted_model(model: pin.Model, weight: Weight, added: Sequence[Added]) -> 
 def add_masses(model: pin.Model, added: Sequence[Added]) -> None:
     """Add masses to a model of the same arm, whichever of its joints are locked; writes to the model."""
     links = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
-    for each in added:
-        joint = model.getJointId(each.joint)
-        placement = each.placement
-        if each.link in links:
-            joint = links[each.link].parentJoint
-            placement = links[each.link].placement
-        model.inertias[joint] = model.inertias[joint] + placement.act(each.inertia)
+    for load in added:
+        joint = model.getJointId(load.joint)
+        placement = load.placement
+        if load.link in links:
+            joint = links[load.link].parentJoint
+            placement = links[load.link].placement
+        model.inertias[joint] = model.inertias[joint] + placement.act(load.inertia)
 
 
 # Torque limits.
@@ -340,12 +340,12 @@ def effort_limits(model: pin.Model, weight: Weight, drives: Sequence[Drive]) -> 
 
 
 def _along_leaders(
-    given: float | dict[str, float], model: pin.Model, drives: Sequence[Drive], power: int
+    per_drive: float | dict[str, float], model: pin.Model, drives: Sequence[Drive], power: int
 ) -> dict[int, float]:
     """Return values of drives as those of degrees of freedom, by index.
 
     Args:
-        given: one value of all drives, or values by name of the joint.
+        per_drive: one value of all drives, or values by name of the joint.
         model: the model of the arm.
         drives: its drives of coupled joints.
         power: of the ratio of a drive in the value along the leader: 1 of a torque, 2 of a stiffness.
@@ -358,11 +358,11 @@ def _along_leaders(
         name: model.joints[k].idx_v for k, name in enumerate(names, 1) if not is_coupled(model.joints[k])
     }
     shares = {name: (column, 1.0) for name, column in columns.items()}
-    driven = {each.joint: (columns[each.leader], abs(each.ratio) ** power) for each in drives}
-    if not isinstance(given, dict):
-        return {column: given * share for column, share in [*shares.values(), *driven.values()]}
+    driven = {drive.joint: (columns[drive.leader], abs(drive.ratio) ** power) for drive in drives}
+    if not isinstance(per_drive, dict):
+        return {column: per_drive * share for column, share in [*shares.values(), *driven.values()]}
     values = {}
-    for name, value in given.items():
+    for name, value in per_drive.items():
         require_known("moving joint", name, shares | driven)
         column, share = (shares | driven)[name]
         values[column] = value * share
@@ -492,9 +492,9 @@ def check_masses(model: pin.Model, urdf: str | None, length: float) -> list[str]
         for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
             body = RigidBody.of(inertia)
             if not 0.0 <= body.mass < np.inf or not np.all(np.isfinite(body.center)):
-                given = body.mass, *body.center.tolist()
+                stated = body.mass, *body.center.tolist()
                 allowed = "a finite mass, 0 or more [kg], and a finite centre of mass"
-                raise InvalidValue(f"inertia of joint {str(name)!r}", given, allowed)
+                raise InvalidValue(f"inertia of joint {str(name)!r}", stated, allowed)
             bodies[str(name)] = body
     warnings = []
     solid = {name: physically_consistent(body)[1] for name, body in bodies.items() if body.mass > 0.0}

@@ -309,11 +309,11 @@ class Curve(Geometry):
         knots = clamped_uniform_knots(n, k)
         # The curve's own parameter suits splines with more knots of this kind, the fraction of the length
         # curves whose parameter is unrelated to uniform knots.
-        own = kernels.parameters_at(self._arc, s)
+        u = kernels.parameters_at(self._arc, s)
         begin = self.knots[self.degree]
         end = self.knots[-self.degree - 1]
         fits = []
-        for parameters in ((own - begin) / (end - begin), s / self.length):
+        for parameters in ((u - begin) / (end - begin), s / self.length):
             basis = csr_array(BSpline.design_matrix(np.clip(parameters, 0.0, 1.0), knots, k))
             try:
                 fits.append(_fit(basis, places))
@@ -342,15 +342,15 @@ class Curve(Geometry):
         nearest = np.inf
         for n in range(k + 1, last + 1):
             try:
-                found = self.controlled(n, k)
+                simpler = self.controlled(n, k)
             except CurveError:  # its velocity vanishes, as for a closed curve with few points
                 continue
             # Few samples suffice to reject it, which is the most frequent case.
-            apart = float(found.nearest(self.resample(COMPARISON.fewest)).distance.max())
+            apart = float(simpler.nearest(self.resample(COMPARISON.fewest)).distance.max())
             if apart <= near:
-                apart = deviation(self, found)
+                apart = deviation(self, simpler)
                 if apart <= near:
-                    return found
+                    return simpler
             nearest = min(nearest, apart)
         allowed = f"{nearest:.4g} m or more with {last} control points at most, of degree {k}"
         raise InvalidValue("tolerance", tolerance, allowed if nearest < np.inf else "more control points")
@@ -459,9 +459,9 @@ def _table(path: Path, text: str) -> list[list[float]]:
         fields = _fields(content)
         values = [_coordinate(field) for field in fields]
         if not rows and headings is None and all(fields) and not any(value is not None for value in values):
-            found = [_HEADING.fullmatch(field.strip("\"'").lower()) for field in fields]
-            headings = [each[1] if each else "" for each in found]
-            units = {each[2] or each[3] or "m" for each in found if each}
+            matches = [_HEADING.fullmatch(field.strip("\"'").lower()) for field in fields]
+            headings = [match[1] if match else "" for match in matches]
+            units = {match[2] or match[3] or "m" for match in matches if match}
             if headings not in (["x", "y"], ["x", "y", "z"]) or len(units) > 1:
                 allowed = "x, y or x, y, z, all in one unit (m; or x [mm], x [cm])"
                 raise FileError(path, f"line {number}: columns {', '.join(fields)}; allowed: {allowed}")
@@ -475,8 +475,8 @@ def _table(path: Path, text: str) -> list[list[float]]:
             row.append(value / per_metre)
         width = len(headings or (rows[0] if rows else row))
         if len(row) != width or width not in (2, 3):
-            wanted = f"{width}, as before" if width in (2, 3) else "2 (then z = 0) or 3"
-            raise FileError(path, f"line {number}: {len(row)} columns; allowed: {wanted}")
+            allowed = f"{width}, as before" if width in (2, 3) else "2 (then z = 0) or 3"
+            raise FileError(path, f"line {number}: {len(row)} columns; allowed: {allowed}")
         lines.append(number)
         rows.append(row)
     if not rows:

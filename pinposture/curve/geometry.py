@@ -262,7 +262,7 @@ class Geometry:
     def __repr__(self) -> str:
         places = np.stack([self.start, self.end])
         places[np.abs(places) < TOLERANCES.end * self.length] = 0
-        begin, end = (", ".join(f"{x:.4g}" for x in place) for place in places)
+        begin, end = (", ".join(f"{x:.4g}" for x in point) for point in places)
         spans = len(self._spline.breaks) - 1
         return (
             f"{type(self).__name__}(length {self.length:.6g} m, from ({begin}) to ({end}), "
@@ -356,11 +356,11 @@ class Geometry:
             one = np.ndim(points) == 1 and np.size(points) > 0
         except ValueError:  # rows of different lengths
             one = False
-        given = as_points(np.asarray(points)[None] if one else points, least=0)
+        checked = as_points(np.asarray(points)[None] if one else points, least=0)
         spline, length = self.measured
-        found = kernels.nearest_places(spline, length, _MIN_PIECES, given)
-        parameter = found[:, 0].copy()
-        distance = found[:, 1].copy()
+        nearest = kernels.nearest_places(spline, length, _MIN_PIECES, checked)
+        parameter = nearest[:, 0].copy()
+        distance = nearest[:, 1].copy()
         return Nearest(parameter[0], distance[0]) if one else Nearest(parameter, distance)
 
     def _values(self, u: Array, order: int = 0) -> Array:

@@ -64,8 +64,8 @@ class ConstantCurvature:
         bend = np.hypot(bend_y, bend_z)
         along = np.sinc(bend / np.pi)  # sin(bend) / bend
         across = 0.5 * np.sinc(0.5 * bend / np.pi) ** 2  # (1 - cos(bend)) / bend^2
-        place = length * np.array([along, across * bend_z, -across * bend_y])
-        return place, np.asarray(pin.exp3(np.array([0.0, bend_y, bend_z])))
+        end = length * np.array([along, across * bend_z, -across * bend_y])
+        return end, np.asarray(pin.exp3(np.array([0.0, bend_y, bend_z])))
 
     def inverse(self, p: Array) -> list[Array]:
         """IK: the positions that put the end at p, (3,) [m], base frame; empty if there are none.

@@ -215,10 +215,10 @@ def fit_near(
         parameters = _nearest_parameters(arm, curve, start, q)
     guess = problem.joined(arm.positions(q), parameters)
     guess = np.clip(guess, problem.lower, problem.upper)
-    found = refined(problem, curve, guess)
-    if isinstance(problem, SlidingFit) and not problem.converged(curve, found):
-        found = problem.solve(curve, guess, evaluations=60)
-    return problem.split(problem.closed(curve, found))
+    fitted = refined(problem, curve, guess)
+    if isinstance(problem, SlidingFit) and not problem.converged(curve, fitted):
+        fitted = problem.solve(curve, guess, evaluations=60)
+    return problem.split(problem.closed(curve, fitted))
 
 
 def _fit_problem(arm: Arm, curve: Curve, start: float, bending: float, to_end: bool) -> FitProblem:
@@ -306,11 +306,11 @@ def _nearest_parameters(arm: Arm, curve: Curve, start: float, q: Array) -> Array
     lengths = arm.chain.module_lengths
     reach = CURVE_FIT.look_ahead * np.maximum(lengths, lengths.mean())
     steps = np.arange(1, CURVE_FIT.look_ahead_samples + 1) / CURVE_FIT.look_ahead_samples
-    found = np.empty(len(points))
+    parameters = np.empty(len(points))
     for k, point in enumerate(points):
         ahead = np.minimum(start + reach[k] * steps, curve.length)
-        found[k] = start = ahead[np.argmin(np.linalg.norm(curve.at(ahead) - point, axis=1))]
-    return found
+        parameters[k] = start = ahead[np.argmin(np.linalg.norm(curve.at(ahead) - point, axis=1))]
+    return parameters
 
 
 class FitProblem:
@@ -562,8 +562,8 @@ class SlidingFit(FitProblem):
         steps[: self._first] = 0.0
         along = np.append(0.0, np.cumsum(steps))
         points, jacobians, at = (
-            np.concatenate([(each[1:] + each[:-1]) / 2.0, each[1:]])[self._sampled]
-            for each in (stations, jacobians, along)
+            np.concatenate([(part[1:] + part[:-1]) / 2.0, part[1:]])[self._sampled]
+            for part in (stations, jacobians, along)
         )
         places = np.interp(at, np.append(0.0, along[self._points]), np.append(self._start, s))
         places = np.clip(places, 0.0, curve.length)

@@ -98,8 +98,10 @@ def curve_crossings(
             value = float(values[i])
             if high > low and (value > 0.0) != (float(values[i + 1]) > 0.0):
                 edge = 1e-15 * max(curve.length, reach)
-                found = brentq(lambda at: float(level(inside(at)[None])[0]), low, high, xtol=edge, rtol=1e-15)
-                yield float(found), inside(float(found))
+                crossing = brentq(
+                    lambda at: float(level(inside(at)[None])[0]), low, high, xtol=edge, rtol=1e-15
+                )
+                yield float(crossing), inside(float(crossing))
             if out[i + 1]:
                 return
         s = float(block[-1])
@@ -174,7 +176,7 @@ class ClosedForm:
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
         """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
         crossings = curve_crossings(curve, base, start, self._level, self.reach)
-        return first_facing((each for each in crossings if self.inverse(each[1])), self.faces)
+        return first_facing((crossing for crossing in crossings if self.inverse(crossing[1])), self.faces)
 
     def _level(self, p: Array) -> Array:
         """Return a function of points (n, 3) [m] that changes sign across the reachable surface, (n,)."""
@@ -338,7 +340,7 @@ class NumericModule:
 
         joints = self.joints
         k = self.dof
-        found = np.clip(self.preferred, *self._range)
+        preferred = np.clip(self.preferred, *self._range)
         chain = ModuleSearch(
             joints=joints.chain.joints,
             levers=joints.chain.levers,
@@ -347,14 +349,14 @@ class NumericModule:
             sliding=~self._turning,
             lower=np.array(joints.lower),
             upper=np.array(joints.upper),
-            near=found.copy(),
+            near=preferred.copy(),
         )
         goals = np.array(p, dtype=float).reshape(1, 3)
         shares = np.ascontiguousarray(qmc.Sobol(k, scramble=False).random(32))
         exact = NUMERIC_MODULE.exact * self.reach
         visits = NUMERIC_MODULE.visits
-        reached = kernels.search_branches(chain, goals, self.reach, exact, 1, visits, shares, found)
-        return [found] if reached == 1 else []
+        reached = kernels.search_branches(chain, goals, self.reach, exact, 1, visits, shares, preferred)
+        return [preferred] if reached == 1 else []
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
         """TP, as `ModuleKinematics.target_point`, within the limits and near the preferred positions."""
@@ -377,9 +379,9 @@ class NumericModule:
             reach without such a point, -1 if it ends without one.
         """
         placed = np.ascontiguousarray(np.column_stack([base.rotation, base.translation]))
-        wanted = self.preferred if near is None else near
-        found = np.empty(self.dof)
-        inside = np.clip(wanted, self.joints.lower, self.joints.upper)
+        preferred = self.preferred if near is None else near
+        positions = np.empty(self.dof)
+        inside = np.clip(preferred, self.joints.lower, self.joints.upper)
         samples, ends = self._samples
         if near is not None:
             samples = samples.copy()
@@ -398,9 +400,9 @@ class NumericModule:
             inside,
             samples,
             ends,
-            found,
+            positions,
         )
-        return float(s), found
+        return float(s), positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -490,7 +492,7 @@ def _units(arm: Arm) -> _Units:
         units = _find_units(arm)
         named = {unit.module: type(unit.kinematics).__name__ for unit in units}
         names = tuple(named[module] for module in range(arm.n_modules))
-        runs = tuple(_run_of(tuple(each)) for each in _divide(arm, units))
+        runs = tuple(_run_of(tuple(group)) for group in _divide(arm, units))
         known = arm.cache[arm_units] = _Units(registry_state(), units, names, runs)
     return known
 
@@ -554,11 +556,11 @@ def has_custom_kinematics(arm: Arm) -> bool:
 def _find_units(arm: Arm) -> tuple[Unit, ...]:
     chain = arm.chain
     units = list[Unit]()
-    own = [_registered(arm, k) for k in range(arm.n_modules)]
+    registered = [_registered(arm, k) for k in range(arm.n_modules)]
     waiting = int(np.count_nonzero(arm.base_slides[chain.columns]))  # the first free joint
     base = chain.base
     for k, (joints, end) in enumerate(zip(chain.module_slices, chain.points, strict=True)):
-        claimed = own[k]
+        claimed = registered[k]
         if claimed is not None:
             units.append(claimed)
         else:
@@ -591,7 +593,7 @@ def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoi
     """Describe consecutive joints of an arm, from a base to an end, (3,) each [m], world frame."""
     chain = arm.chain
     columns = chain.columns[joints]
-    own = np.array(list(dict.fromkeys(columns.tolist())))
+    columns_once = np.array(list(dict.fromkeys(columns.tolist())))
     return joints_in_base_frame(
         names=chain.joints[joints],
         revolute=chain.revolute[joints],
@@ -599,7 +601,7 @@ def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoi
         stations=chain.flattened(np.vstack([base, chain.origins[joints], end])),
         columns=columns,
         ratios=chain.ratios[joints],
-        limits=np.array([arm.limits.lower[own], arm.limits.upper[own]]),
+        limits=np.array([arm.limits.lower[columns_once], arm.limits.upper[columns_once]]),
     )
 
 
@@ -661,8 +663,8 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
         raise refuse("its first joint does not sit at its base")
 
     def unit(first: int, last: int, base: Array, frame: Array, form: ClosedForm) -> Unit:
-        own = slice(joints.start + first, joints.start + last)
-        return Unit(module, own, int(chain.input_numbers[own.start]), base, frame, form)
+        placed_joints = slice(joints.start + first, joints.start + last)
+        return Unit(module, placed_joints, int(chain.input_numbers[placed_joints.start]), base, frame, form)
 
     first_link = 0.0 if universal else float(lengths[0])
     perpendicular = len(axes) == 2 and abs(axes[0] @ axes[1]) < SHAPE_TOLERANCE

@@ -141,12 +141,12 @@ def place_sequentially(
         (chain.near, rough, 0),
     ):
         shuffled = np.roll(samples, first, axis=0)
-        found = start.copy()
+        solution = start.copy()
         nearby = chain._replace(near=start)
         reached = kernels.search_branches(
-            nearby, goals, arm.length, accepted, POINT_SEARCH.window, visits, shuffled, found
+            nearby, goals, arm.length, accepted, POINT_SEARCH.window, visits, shuffled, solution
         )
-        positions[arm.columns] = found
+        positions[arm.columns] = solution
         if reached == len(goals):
             return positions, True
     return positions, False
@@ -180,13 +180,13 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
         return None
     chain, goals = _module_search(arm, points, every, near)
     m = len(goals)
-    found = chain.near.copy()
+    solution = chain.near.copy()
     samples = _joint_samples(len(chain.near))
     exact = POINT_SEARCH.exact * arm.length
-    if kernels.search_branches(chain, goals, arm.length, exact, 1, 2 * m, samples, found) < m:
+    if kernels.search_branches(chain, goals, arm.length, exact, 1, 2 * m, samples, solution) < m:
         return None
     positions = np.array(near)
-    positions[arm.columns] = found
+    positions[arm.columns] = solution
     return positions
 
 
@@ -214,8 +214,8 @@ def _module_search(
     if arm.dimension == 2:  # errors normal to the plane cannot be reduced
         goals = carried + (goals - carried) @ arm.plane.T @ arm.plane
     preferred = np.clip(near[columns], lower, upper)
-    found = modules._replace(lower=lower, upper=upper, near=preferred)
-    return found, np.ascontiguousarray(goals)
+    search = modules._replace(lower=lower, upper=upper, near=preferred)
+    return search, np.ascontiguousarray(goals)
 
 
 @lru_cache(maxsize=64)
@@ -298,11 +298,11 @@ def _closest_positions(arm: Arm, target: Target) -> Array:
     best = straight
     least = np.inf
     for guess in (*initial_guesses(arm, target, straight), straight, *[None] * POINT_FIT.restarts):
-        found = _fit(arm, target, best + noise * rng.normal(size=arm.nv) if guess is None else guess)
-        gaps = _gaps(arm, target, found)
+        fitted = _fit(arm, target, best + noise * rng.normal(size=arm.nv) if guess is None else guess)
+        gaps = _gaps(arm, target, fitted)
         cost = float(target.weights @ np.einsum("ij,ij->i", gaps, gaps))
         if cost < least:
-            best = found
+            best = fitted
             least = cost
         if least <= (POINT_FIT.no_error * arm.length) ** 2:
             break

@@ -188,31 +188,31 @@ class Walk:
         columns = arm.columns
         lower = arm.limits.lower[columns]
         upper = arm.limits.upper[columns]
-        found = self.positions[columns]
-        found[run.inputs] = 0.0  # as closed forms take joints between them that do not move an end
-        stopped, state = self._call_kernel(run, base, lower, upper, found, self.parameters)
-        self.positions[columns] = found
+        placed = self.positions[columns]
+        placed[run.inputs] = 0.0  # as closed forms take joints between them that do not move an end
+        stopped, state = self._call_kernel(run, base, lower, upper, placed, self.parameters)
+        self.positions[columns] = placed
         if stopped < 0:
             self._parameter = float(self.parameters[run.units[-1].module])
             return None
         unit = run.units[stopped]
         exceeded = ""
         if state[8]:  # on the curve, but not within its joint limits: by how much are they exceeded?
-            own = unit.inputs
+            inputs = unit.inputs
             wide_lower = lower.copy()
             wide_upper = upper.copy()
-            wide_lower[own] = -np.inf
-            wide_upper[own] = np.inf
-            self._call_kernel(run, base, wide_lower, wide_upper, found, np.empty(arm.n_modules))
-            excess = np.maximum(lower - found, found - upper)[own]
+            wide_lower[inputs] = -np.inf
+            wide_upper[inputs] = np.inf
+            self._call_kernel(run, base, wide_lower, wide_upper, placed, np.empty(arm.n_modules))
+            excess = np.maximum(lower - placed, placed - upper)[inputs]
             worst = unit.first + int(np.argmax(excess))
             allowed = f"{lower[worst]:.4g} to {upper[worst]:.4g} rad"
             name = arm.chain.input_names[worst]
-            exceeded = f": joint {name!r} would be at {found[worst]:.4g} rad, allowed: {allowed}"
+            exceeded = f": joint {name!r} would be at {placed[worst]:.4g} rad, allowed: {allowed}"
         return unit, _failure(arm, self._curve, unit, state, exceeded)
 
     def _call_kernel(
-        self, run: UnitRun, base: Array, lower: Array, upper: Array, found: Array, parameters: Array
+        self, run: UnitRun, base: Array, lower: Array, upper: Array, placed: Array, parameters: Array
     ) -> tuple[int, Array]:
         """Call `kernels.place_modules`; return its result and the final state, (9,)."""
         state = np.empty(9)
@@ -229,7 +229,7 @@ class Walk:
             lower,
             upper,
             state,
-            found,
+            placed,
             parameters,
         )
         return stopped, state
@@ -238,16 +238,16 @@ class Walk:
         """Place a unit without a closed form in the library."""
         kinematics = unit.kinematics
         columns = self._arm.columns[unit.inputs]
-        found: tuple[float, Array] | TargetError
+        placed: tuple[float, Array] | TargetError
         if isinstance(kinematics, NumericModule):
-            found = kinematics.place(base, self._curve, self._parameter, self.positions[columns])
-            if not found[0] >= 0.0:
-                found = self._no_place(unit, base, found[0] == -1.0)
+            placed = kinematics.place(base, self._curve, self._parameter, self.positions[columns])
+            if not placed[0] >= 0.0:
+                placed = self._no_place(unit, base, placed[0] == -1.0)
         else:
-            found = self._by_your_own(unit, kinematics, base)
-        if isinstance(found, TargetError):
-            return unit, found
-        self._parameter, self.positions[columns] = found
+            placed = self._by_your_own(unit, kinematics, base)
+        if isinstance(placed, TargetError):
+            return unit, placed
+        self._parameter, self.positions[columns] = placed
         self.parameters[unit.module] = self._parameter
         return None
 
@@ -300,15 +300,17 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) ->
     first = state[1:4]
     last = state[4:7]
     beyond = bool(state[7])
-    found = int(state[8])
+    crossings = int(state[8])
     module = unit.module + 1
     at = float(state[0])
     slack = ON_CURVE * arm.length
     reach = unit.kinematics.reach
     off_axis = unit.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0])) > 1e-6
     left = curve.length - at
-    if (found and left < reach - slack) or not (found or beyond):  # where it could only fold, it also ends
-        away = "" if found else f", {length_text(float(np.linalg.norm(last)))} away from it"
+    if (crossings and left < reach - slack) or not (
+        crossings or beyond
+    ):  # where it could only fold, it also ends
+        away = "" if crossings else f", {length_text(float(np.linalg.norm(last)))} away from it"
         text = (
             f"the curve ends {length_text(left)} beyond its base{away}"
             if left > slack
@@ -316,7 +318,7 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) ->
         )
         advice = f"the module is {length_text(reach)} long; lengthen the curve or use fewer modules"
         return CurveEndsEarly(module, at, f"{text}; {advice}")
-    if found:
+    if crossings:
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
         return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {GENTLER}")
     gap = float(np.linalg.norm(first))
@@ -524,8 +526,8 @@ def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
     axes = spans / np.maximum(np.linalg.norm(spans, axis=1), 1e-300)[:, None]
     for k, joints in enumerate(chain.module_slices):
         turn = np.eye(3)
-        own = arm.kinematics.constants.joints
-        kernels.move_frame(own, joints.start, joints.stop, positions, turn, np.zeros(3))
+        constants = arm.kinematics.constants.joints
+        kernels.move_frame(constants, joints.start, joints.stop, positions, turn, np.zeros(3))
         before[k] = np.cross(axes[k], turn @ axes[k])
         after[k] = before[k] @ turn
     return before, after
@@ -625,10 +627,10 @@ def _obstruction(
     arm: Arm, curve: Curve, positions: Array, module: int, start: float
 ) -> tuple[type[TargetError], str]:
     """Explain what keeps the end of a module off the curve at the fitted joint positions (nv,)."""
-    own = arm.columns[: arm.chain.input_ends[module]]
+    columns = arm.columns[: arm.chain.input_ends[module]]
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
     names = dict(zip(arm.columns.tolist(), arm.chain.input_names, strict=True))
-    stuck = [int(u) for u in own if room[u] <= AT_LIMIT]
+    stuck = [int(u) for u in columns if room[u] <= AT_LIMIT]
     slides = [u for u in stuck if arm.slides[u]]
     if slides and slides == stuck:
         listed = ", ".join(f"{names[u]!r} at {length_text(positions[u])}" for u in slides[:3])

@@ -133,11 +133,11 @@ class Target:
 
     def _read_points(self, points: Array) -> Array:
         """Read control points, as for `errors`, which are not as they usually are."""
-        given = finite_array("points", points)
-        if given.ndim not in (2, 3) or given.shape[-2:] != self.points.shape:
+        checked = finite_array("points", points)
+        if checked.ndim not in (2, 3) or checked.shape[-2:] != self.points.shape:
             allowed = f"(m, 3) or (s, m, 3), with m = {len(self.points)}"
-            raise InvalidValue("points (shape)", given.shape, allowed)
-        return given
+            raise InvalidValue("points (shape)", checked.shape, allowed)
+        return checked
 
     def distances(self, points: Array) -> Array:
         """Return the distances of control points, as for `errors`, from their targets, (m,) or (s, m) [m]."""
