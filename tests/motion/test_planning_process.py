@@ -223,7 +223,7 @@ def test_a_tracker_that_plans_in_a_process_is_pickled_with_a_process_of_its_own(
     )
     tracker.step(arm.neutral())
     other = pickle.loads(pickle.dumps(tracker))
-    assert other._steps._process.pid != tracker._loop.steps._process.pid
+    assert other._steps._process.pid != tracker._steps._process.pid
     Loop(other, arm.neutral()).run("converged")
 
 
