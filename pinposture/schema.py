@@ -175,8 +175,8 @@ def _mistakes(found: Mapping[str, Any]) -> list[tuple[KeyPath, Refusal]]:
     if cause is None:
         allowed = "the path of a file" if found["type"] == "path_type" else found["msg"]
         return [(inside, NotAllowed(found["input"], allowed))]
-    listed = [_refusal(each, found["input"]) for each in getattr(cause, "all", (cause,))]
-    return [((*inside, *each.within), each) for each in listed]
+    listed = [_refusal(reason, found["input"]) for reason in getattr(cause, "all", (cause,))]
+    return [((*inside, *reason.within), reason) for reason in listed]
 
 
 def _refusal(cause: Exception, table: object) -> Refusal:
@@ -206,9 +206,9 @@ def error_of(key_path: KeyPath, refusal: Refusal) -> PostureError:
 
 def _joined(mistakes: Sequence[tuple[KeyPath, Refusal]]) -> Refusal | Refusals:
     """Return mistakes in a value, each with the keys to its part, as one exception."""
-    for key_path, each in mistakes:
-        each.within = key_path
-    reasons = [each for _, each in mistakes]
+    for key_path, reason in mistakes:
+        reason.within = key_path
+    reasons = [reason for _, reason in mistakes]
     return reasons[0] if len(reasons) == 1 else Refusals(reasons)
 
 
@@ -645,9 +645,9 @@ def _fields(cls: Any) -> Mapping[str, object]:
     """Return the defaults of the fields of a declared class."""
     listed = dataclasses.fields(cast(Any, cls))
     return {
-        each.name: each.default_factory() if callable(each.default_factory) else each.default
-        for each in listed
-        if each.init
+        field.name: field.default_factory() if callable(field.default_factory) else field.default
+        for field in listed
+        if field.init
     }
 
 
@@ -658,11 +658,11 @@ _hints = cache(partial(get_type_hints, include_extras=True))
 def _annotations(described: Any, kind: type[Annotation]) -> Mapping[str, Annotation]:
     """Return the annotations of a kind in a class or function, by field or argument."""
     return {
-        key: each
+        key: mark
         for key, hint in _hints(described).items()
         for part in (hint, *get_args(hint))  # also of what may be None
-        for each in getattr(part, "__metadata__", ())
-        if isinstance(each, kind)
+        for mark in getattr(part, "__metadata__", ())
+        if isinstance(mark, kind)
     }
 
 
@@ -674,7 +674,7 @@ def write_parts(value: object, file: OutputFile) -> object:
         return {key: write_parts(entry, file) for key, entry in value.items()}
     if isinstance(value, np.ndarray):
         return value.tolist()
-    if isinstance(value, tuple) and any(isinstance(each, Declared) for each in value):
+    if isinstance(value, tuple) and any(isinstance(item, Declared) for item in value):
         return [write_parts(entry, file) for entry in value]
     return value
 
@@ -821,8 +821,8 @@ def with_value(
     now = getattr(part, key)
     if rest and isinstance(now, Declared):
         return dataclasses.replace(part, **{key: with_value(now, rest, value, called, arm)})
-    for each in reversed(rest):
-        value = {each: value}
+    for inner in reversed(rest):
+        value = {inner: value}
     return dataclasses.replace(part, **{key: read_plain(_hints(kind)[key], value, called, ".", arm)})
 
 

@@ -118,14 +118,14 @@ class Shape:
         laid, _ = place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
-        own = np.array(laid.coefficients)
+        control_points = np.array(laid.coefficients)
         knots = laid.knots
         degree = laid.degree
-        if begin == 0.0 and degree <= SHAPE.degree < len(own):
-            if laid.control_points is not None and len(own) <= SHAPE.most_points:
-                return cls(own, degree)
-            if np.all(knots[: degree + 1] == knots[0]) and len(own) <= most_points(arm):
-                return cls(own, degree, knots)
+        if begin == 0.0 and degree <= SHAPE.degree < len(control_points):
+            if laid.control_points is not None and len(control_points) <= SHAPE.most_points:
+                return cls(control_points, degree)
+            if np.all(knots[: degree + 1] == knots[0]) and len(control_points) <= most_points(arm):
+                return cls(control_points, degree, knots)
         end = min(laid.length, begin + required_length(arm))
         if begin > 0.0 or end < laid.length:
             laid = laid.trimmed(begin, end)
@@ -174,17 +174,17 @@ class Shape:
             InvalidValue: the first point, which is at the base of the arm, or not a position.
         """
         self._check_index(index)
-        place = finite_vector("position", position, 3)
-        if index == 0 and not math.dist(place, self.points[0]) <= 1e-9 * arm.length:
-            raise InvalidValue("point 1", place.tolist(), "its position at the base of the arm")
+        target = finite_vector("position", position, 3)
+        if index == 0 and not math.dist(target, self.points[0]) <= 1e-9 * arm.length:
+            raise InvalidValue("point 1", target.tolist(), "its position at the base of the arm")
         points = self.points.copy()
         together = sorted({index, *others} - {0})
-        for each in together:
-            self._check_index(each)
-        points[together] = rounded(into_plane(arm, points[together] + (place - points[index])))
+        for number in together:
+            self._check_index(number)
+        points[together] = rounded(into_plane(arm, points[together] + (target - points[index])))
         after = replace(self, points=points)
-        for each in together:
-            after._check_distance(arm, each)
+        for number in together:
+            after._check_distance(arm, number)
         return after._lengthened(arm)
 
     def inserted(self, arm: Arm, after: int) -> Shape:
@@ -500,17 +500,19 @@ def dragged(index: int, time: float) -> Edit:
         to = place_at(task, index, time)
         if index == 0:
             raise InvalidValue("time of keyframe 1", time, "0 s, the start of the motion")
-        own = keyframes.pop(index)
+        removed = keyframes.pop(index)
         _ = times.pop(index)
         left = [at + keyframe.hold for at, keyframe in zip(times, keyframes, strict=True)]
         low = left[to - 1] + least
-        high = times[to] - own.hold - least if to < len(times) else math.inf
+        high = times[to] - removed.hold - least if to < len(times) else math.inf
         if not low <= high + TIMES.tolerance:
-            allowed = f"a place with {own.hold + 2.0 * least:.4g} s between other keyframes and their holds"
+            allowed = (
+                f"a place with {removed.hold + 2.0 * least:.4g} s between other keyframes and their holds"
+            )
             raise InvalidValue(f"time of keyframe {index + 1}", time, allowed)
-        keyframes.insert(to, own)
+        keyframes.insert(to, removed)
         times.insert(to, min(max(time, low), high))
-        left.insert(to, times[to] + own.hold)
+        left.insert(to, times[to] + removed.hold)
         return _with_gaps(task, keyframes, [0.0, *np.subtract(times[1:], left[:-1]).tolist()])
 
     return edit
@@ -542,10 +544,10 @@ def added(index: int, name: str = "") -> Edit:
     def edit(task: Task) -> Task:
         keyframes = list_keyframes(task, index)
         gaps = _gaps(task)
-        own = replace(keyframes[index], time=None, duration=TIMES.new_gap, hold=0.0, name=name, tip=None)
+        added = replace(keyframes[index], time=None, duration=TIMES.new_gap, hold=0.0, name=name, tip=None)
         if keyframes[index].duration is None:
-            own = replace(own, time=0.0, duration=None)
-        keyframes.insert(index + 1, own)
+            added = replace(added, time=0.0, duration=None)
+        keyframes.insert(index + 1, added)
         gaps.insert(index + 1, max(TIMES.new_gap, _min_gap(task)))
         return _with_gaps(task, keyframes, gaps)
 
@@ -600,9 +602,9 @@ def with_tip_load(mass: float) -> Edit:
     """Have the arm carry a mass at its tip [kg], 0 for none; what it carries elsewhere stays."""
 
     def edit(task: Task) -> Task:
-        others = [each for each in task.arm.weight.payloads if not is_at_tip(each)]
-        own = [Load(mass)] if mass != 0.0 else []
-        return with_weight(payloads=(*others, *own))(task)
+        others = [load for load in task.arm.weight.payloads if not is_at_tip(load)]
+        at_tip = [Load(mass)] if mass != 0.0 else []
+        return with_weight(payloads=(*others, *at_tip))(task)
 
     return edit
 
@@ -639,17 +641,19 @@ def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = No
             listed.pop(name, None)
         elif instead is not None and instead in listed:
             renamed = {instead: (name, obstacle)}
-            listed = dict(renamed.get(key, (key, each)) for key, each in listed.items())
+            listed = dict(renamed.get(key, (key, item)) for key, item in listed.items())
         else:
             listed[name] = obstacle
 
         def renamed_in(names: Iterable[str]) -> list[str]:
-            others = [name if each == instead else each for each in names]
-            return [each for each in others if each in listed]
+            others = [name if other == instead else other for other in names]
+            return [other for other in others if other in listed]
 
         carried = {
-            name if key == instead else key: replace(each, beside=renamed_in(each.beside))
-            for key, each in scene.carried.items()
+            name if key == instead else key: replace(
+                carried_obstacle, beside=renamed_in(carried_obstacle.beside)
+            )
+            for key, carried_obstacle in scene.carried.items()
             if renamed_in([key])
         }
         touchable = renamed_in(scene.touchable)
@@ -686,14 +690,14 @@ def _with_gaps(task: Task, keyframes: list[Keyframe], gaps: list[float]) -> Task
     for index, (keyframe, gap) in enumerate(zip(keyframes, gaps, strict=True)):
         time = left + gap if index > 0 else 0.0
         by_duration = keyframe.duration is not None
-        new, given = (gap, keyframe.duration) if by_duration else (time, keyframe.time)
+        new, before = (gap, keyframe.duration) if by_duration else (time, keyframe.time)
         if index == 0:
             back = keyframe.duration if task.repeat == 1 else None
             by_duration = False
             new = 0.0
-            given = keyframe.time or back or 0.0
+            before = keyframe.time or back or 0.0
         changes: dict[str, float | None] = {}
-        if given is None or abs(given - new) > TIMES.tolerance:
+        if before is None or abs(before - new) > TIMES.tolerance:
             value = None if index == 0 else round(new, TIMES.digits)
             changes = {"time": None, "duration": value} if by_duration else {"time": value, "duration": None}
         timed.append(replace(keyframe, **changes) if changes else keyframe)  # type: ignore[arg-type]

@@ -53,10 +53,10 @@ class Version(NamedTuple):
 def version_of(path: Path) -> Version | None:
     """Return which file has a name now; None if there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return None
-    return Version(found.st_ino, found.st_mtime_ns, found.st_size)
+    return Version(status.st_ino, status.st_mtime_ns, status.st_size)
 
 
 class Recovered(NamedTuple):
@@ -116,27 +116,27 @@ class Autosave:
         self.finish()
         self._wanted.close()
 
-    def _write_all(self, wanted: dict[Path, Task | None], _: Event) -> None:
-        for path, task in wanted.items():
+    def _write_all(self, states: dict[Path, Task | None], _: Event) -> None:
+        for path, task in states.items():
             self._write(task, path)
 
     def _write(self, task: Task | None, path: Path) -> None:
         """Write a state, or remove the file."""
-        found = version_of(path)
-        foreign = path in self._written and found not in (None, self._written[path])
+        version = version_of(path)
+        foreign = path in self._written and version not in (None, self._written[path])
         complaint = f"another program also writes {path.name}: is the task open twice?" if foreign else ""
         files = (path, path.with_suffix(".urdf"))  # an arm that nothing else describes is written beside it
         try:
             if task is not None:
-                for each in files:
-                    if each.is_symlink():  # which we never make; it would be written through
-                        raise FileError(each, "is a link; remove it")
+                for file in files:
+                    if file.is_symlink():  # which we never make; it would be written through
+                        raise FileError(file, "is a link; remove it")
                 task.save(path)
                 self._written[path] = version_of(path)
             elif not foreign:
                 self._written.pop(path, None)
-                for each in files:
-                    each.unlink(missing_ok=True)
+                for file in files:
+                    file.unlink(missing_ok=True)
         except Exception as error:  # of any kind: the next state is tried again
             complaint = f"your changes cannot be autosaved: {error}"
             level = logging.WARNING if isinstance(error, EXPECTED_ERRORS) else logging.ERROR
@@ -293,9 +293,9 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
     """
     if not name:
         raise FileError("the file", "has no name yet; enter one, such as task.toml")
-    given = Path(name)
+    named = Path(name)
     path = (folder if start is None else start) / name
-    outside = bool(given.anchor) or name.startswith("~") or ".." in given.parts
+    outside = bool(named.anchor) or name.startswith("~") or ".." in named.parts
     try:
         outside = outside or not path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError) as error:  # a null byte, links in a circle
@@ -311,12 +311,12 @@ def task_files(folder: Path) -> tuple[str, ...]:
 
     Autosaves and hidden folders are left out.
     """
-    found: dict[str, float] = {}
+    times: dict[str, float] = {}
     for path in (*folder.glob("*.toml"), *folder.glob("[!.]*/*.toml")):
         with suppress(OSError):  # it may be gone already
             if path.is_file() and not path.stem.endswith(".autosave"):
-                found[path.relative_to(folder).as_posix()] = path.stat().st_mtime
-    return tuple(sorted(found, key=lambda name: (-found[name], name))[:MAX_LISTED])
+                times[path.relative_to(folder).as_posix()] = path.stat().st_mtime
+    return tuple(sorted(times, key=lambda name: (-times[name], name))[:MAX_LISTED])
 
 
 class ExportKind(NamedTuple):
@@ -440,7 +440,7 @@ def first_task(arm: Arm, name: str = "") -> Task:
         shares = (0.0, FIRST_TASK.joint_shares[0])
         ends = (Keyframe(joints=joints_at(arm, _bent(arm, share))) for share in shares)
     else:
-        ends = (Keyframe(each.curve, placement="as_is", trim=True) for each in (straight, bent))
+        ends = (Keyframe(curve.curve, placement="as_is", trim=True) for curve in (straight, bent))
     first, last = ends
     keyframes = (replace(first, name="straight"), replace(last, name="bent", time=FIRST_TASK.bent_time))
     limits = Limits(step=None, dt=DEFAULT_CYCLE, acceleration=FIRST_TASK.acceleration)

@@ -74,7 +74,7 @@ class JointStateLines:
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self._all = np.arange(arm.nv)
-        coupled = [each.joint for each in arm.couplings]
+        coupled = [coupling.joint for coupling in arm.couplings]
         self.names = tuple(dict.fromkeys([*arm.drives.names, *arm.joint_names, *coupled]))
 
     def read(self, line: bytes) -> JointPositions:
@@ -113,9 +113,9 @@ class JointStateLines:
         if positions == []:  # a message may hold velocities only
             names = []
         positions = _numbers("position", positions, len(names))
-        found = self._arm.drives.find(dict(zip(names, positions, strict=True)))
+        known = self._arm.drives.find(dict(zip(names, positions, strict=True)))
         unknown = tuple(name for name in names if name not in self.names)
-        return JointPositions(np.array([*found], dtype=np.intp), np.array([*found.values()]), unknown, stamp)
+        return JointPositions(np.array([*known], dtype=np.intp), np.array([*known.values()]), unknown, stamp)
 
 
 def _numbers(name: str, values: Any, count: int) -> list[float]:

@@ -260,7 +260,7 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
         if room >= least and _is_free(scene, center, radius + least):
             return obstacle
         tried.append((room, obstacle))
-    return max(tried, key=lambda each: each[0])[1]
+    return max(tried, key=lambda option: option[0])[1]
 
 
 def _candidate_places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
@@ -296,7 +296,7 @@ def _is_free(scene: Scene | None, center: Array, radius: float) -> bool:
 
 
 def _as_vector(place: Array) -> Vector:
-    x, y, z = (round(float(each), COORDINATE_DIGITS) for each in place)
+    x, y, z = (round(float(coordinate), COORDINATE_DIGITS) for coordinate in place)
     return x, y, z
 
 

@@ -67,7 +67,7 @@ class EditedPhase(Task):
         phases = self.phases
         if self.end is None:
             motion = cast("tuple[Keyframe, ...]", self.motion)
-            own = [each for each in motion if isinstance(each, Keyframe)]
+            own = [keyframe for keyframe in motion if isinstance(keyframe, Keyframe)]
             phase = replace(phases[self.index], motion=tuple(own if self.begin is None else own[1:]))
             phases = (*phases[: self.index], phase, *phases[self.index + 1 :])
         values = {key: getattr(self, key) for key in Task.__dataclass_fields__ if key not in KEPT}
@@ -127,11 +127,11 @@ def editable(task: Task, index: int | None = None) -> Task:
     if index is None:
         index = next((number for number, phase in enumerate(phases) if keyed(phase)), 0)
     phase = phases[index]
-    own = keyed(phase)
+    keyframes_of_phase = keyed(phase)
     # Keyframes of the phase are edited, whether or not the arm can take them.
     planned = plan_phases(
         task.arm,
-        phases[: index + (not own)],
+        phases[: index + (not keyframes_of_phase)],
         task.limits,
         task.effective_scene,
         task.start,
@@ -141,7 +141,7 @@ def editable(task: Task, index: int | None = None) -> Task:
     end: Keyframe | None = None
     ends = planned[-1].ends if planned else 0.0
     begins = ends
-    if not own:
+    if not keyframes_of_phase:
         here = planned[-1]
         begins = here.begins
         begin = _posture(task.arm, here.begin, f"begin of {phase.name or _kind(phase)}")
@@ -151,7 +151,9 @@ def editable(task: Task, index: int | None = None) -> Task:
         before = phases[index - 1].name or f"phase {index}"
         begin = _posture(task.arm, planned[-1].end, f"end of {before}")
     values = {key: getattr(task, key) for key in Task.__dataclass_fields__ if key not in KEPT}
-    values["motion"] = tuple(each for each in (begin, *own, end) if each is not None)
+    values["motion"] = tuple(
+        keyframe for keyframe in (begin, *keyframes_of_phase, end) if keyframe is not None
+    )
     values["start"] = task.start if begin is None else None
     view = EditedPhase(
         **values,
@@ -161,7 +163,7 @@ def editable(task: Task, index: int | None = None) -> Task:
         end=end,
         begins=begins,
         ends=ends,
-        path=None if own else planned[-1].path,
+        path=None if keyframes_of_phase else planned[-1].path,
         first=task.start,
     )
     vars(view)["whole"] = task  # the same one, so that choosing a phase is no change

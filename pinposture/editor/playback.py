@@ -95,8 +95,8 @@ class Preview:
             report(POSTURE_SHARE + (1.0 - POSTURE_SHARE) * min(seconds / duration, 1.0))
 
         report(0.0)
-        own = task.edited()  # of no file, whose lines may have changed
-        motion = own.perform(own.reference(found), moved)
+        edited = task.edited()  # of no file, whose lines may have changed
+        motion = edited.perform(edited.reference(found), moved)
         _ = motion.slowdown  # found here, not in the editor's loop: it may look at a scan
         return motion
 

@@ -19,14 +19,16 @@ Array = NDArray[np.float64]
 REACH_BUDGET = 1.0  # of the search on release, if no clear posture is close [s]
 
 
-def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe: int | None = None) -> None:
+def drag_tip(
+    position: Array, start: Array, final: bool, session: Session, keyframe: int | None = None
+) -> None:
     """Propose the shape of a clear posture that has the tip at a place; a taught keyframe stays one.
 
     During a drag only a posture close to the present one is searched for; where there is none, the arm stays
     at the last one. On release, others are tried, too.
 
     Args:
-        place: where the tip should be, (3,) [m], world frame.
+        position: where the tip should be, (3,) [m], world frame.
         start: the present posture, (nq,).
         final: whether it is to be accepted; else the drag continues.
         session: the session.
@@ -39,17 +41,17 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
     limits = session.task.limits
     scene = session.task.effective_scene
     try:
-        place = edits.into_plane(arm, place)
-        found = reach_from(arm, place, start, scene, limits)
-        if found is None and final:
-            found = reach(arm, place, scene=scene, limits=limits, budget=REACH_BUDGET)[0]
-        if found is None:
+        position = edits.into_plane(arm, position)
+        state = reach_from(arm, position, start, scene, limits)
+        if state is None and final:
+            state = reach(arm, position, scene=scene, limits=limits, budget=REACH_BUDGET)[0]
+        if state is None:
             raise ReachError(
-                place, "no clear posture is close to the present one; release the tip to search for others"
+                position, "no clear posture is close to the present one; release the tip to search for others"
             )
-        edit = edits.taught(session.selected, found.q)
+        edit = edits.taught(session.selected, state.q)
         if session.keyframe.curve is not None:
-            edit = with_posture_curve(arm, session.selected, found.q)
+            edit = with_posture_curve(arm, session.selected, state.q)
     except PostureError as error:
         if final:
             session.proposal = None
@@ -58,7 +60,7 @@ def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe
         elif session.notice.text != " ".join(str(error).split()):
             session.say(str(error), "warning")
         return
-    at = ", ".join(f"{each:.4g}" for each in place)
+    at = ", ".join(f"{coordinate:.4g}" for coordinate in position)
     session.propose(edit, f"reached for ({at}) m", final)
 
 

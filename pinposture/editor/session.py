@@ -375,7 +375,7 @@ class Session:
             self.handle = None
             self.tip = False
         elif 0 <= handle < len(self.shape.points):
-            others = tuple(each for each in self.handles if more and each not in (0, handle))
+            others = tuple(number for number in self.handles if more and number not in (0, handle))
             kept = not more or (handle > 0 and handle not in self.handles)
             self.handles = (*others, handle) if kept else others
             self.obstacle = None
@@ -459,7 +459,7 @@ class Session:
             self.handle = None
         self.selected = min(selected, len(keyframes_of(self.task)) - 1)
         if self.handles:
-            self.handles = tuple(each for each in self.handles if each < len(self.shape.points))
+            self.handles = tuple(number for number in self.handles if number < len(self.shape.points))
         scene = self.task.scene
         if self.obstacle is not None and (scene is None or self.obstacle not in scene.obstacles):
             self.obstacle = None

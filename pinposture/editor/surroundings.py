@@ -58,16 +58,16 @@ class ScanShelf:
 
     def of(self, task: Task) -> dict[Path, Scan]:
         """Return the scans of a task that have been read, and start to read the others."""
-        found: dict[Path, Scan] = {}
+        scans: dict[Path, Scan] = {}
         for path in task.scans:
             with self._lock:
                 known = path in self._known
                 scan = self._known.setdefault(path, None)
             if scan is not None:
-                found[path] = scan
+                scans[path] = scan
             elif not known:
                 self._do(partial(self._read, path))
-        return found
+        return scans
 
     def shown(self, path: Path) -> Scan:
         """Return a scan as it is shown: thinned, if it is large."""
@@ -96,9 +96,9 @@ class ScanShelf:
         session.say(f"reading {cloud.name} again ...")
 
         def job() -> None:
-            found = _without_outliers(cloud, distance or None)
-            what = f"{name}: {found.outliers} outliers removed" if distance else f"{name}: all points kept"
-            self._post(partial(_replace_points, name, cloud, found, what))
+            scan = _without_outliers(cloud, distance or None)
+            what = f"{name}: {scan.outliers} outliers removed" if distance else f"{name}: all points kept"
+            self._post(partial(_replace_points, name, cloud, scan, what))
 
         self._do(job)
 
@@ -157,7 +157,9 @@ class ScanShelf:
 
     def _load_obstacle(self, path: Path, scale: float) -> None:
         obstacle = read_obstacle(path, scale)
-        stem = "".join(each for each in path.stem if each.isprintable()).strip() or obstacle.type
+        stem = (
+            "".join(character for character in path.stem if character.isprintable()).strip() or obstacle.type
+        )
 
         def request(session: Session) -> None:
             taken = obstacles_of(session.task)
@@ -239,15 +241,15 @@ def _without_outliers(cloud: Scan, distance: float | None) -> Scan:
     return cloud.without_outliers(distance)
 
 
-def _replace_points(name: str, before: Scan, found: Scan, what: str, session: Session) -> None:
+def _replace_points(name: str, before: Scan, scan: Scan, what: str, session: Session) -> None:
     """Put a cloud of points in the place of an obstacle, unless that has become another one meanwhile."""
     now = obstacles_of(session.task).get(name)
     if not isinstance(now, Scan) or now.points is not before.points:
         session.say(f"{name}: not changed, the obstacle was changed meanwhile", "warning")
-    elif len(found.points) == len(now.points):
+    elif len(scan.points) == len(now.points):
         session.say(f"{name}: no outliers, all {len(now.points)} points stay")
     else:
-        session.edit(with_obstacle(name, found.placed(now.center, now.rotation)), what)
+        session.edit(with_obstacle(name, scan.placed(now.center, now.rotation)), what)
 
 
 def with_scans(scans: tuple[Path, ...]) -> Edit:
@@ -257,7 +259,7 @@ def with_scans(scans: tuple[Path, ...]) -> Edit:
 
 def remove_scan(path: Path, session: Session) -> None:
     """Remove a scan from the task; its file stays."""
-    left = tuple(each for each in session.task.scans if each != path)
+    left = tuple(scan for scan in session.task.scans if scan != path)
     if len(left) < len(session.task.scans):
         session.edit(with_scans(left), f"removed the scan {path.name}")
 
@@ -299,19 +301,19 @@ def nearest(query: ClearanceQuery) -> NearestObstacle | None:
     arm = query.arm
     scene = query.scene
     state = arm.at(query.q)
-    found = []
+    pairs = []
     if scene.obstacles:
         # Without the arm itself: neighbours of neighbouring links are always near, and would hide the rest.
-        found.append(_closest_pair(scene.without_self_collision(), state))
+        pairs.append(_closest_pair(scene.without_self_collision(), state))
     inside = _closest_pair(scene.without_obstacles(), state)
     if inside is not None and inside.distance < -CONTACT_TOLERANCE * arm.length:
-        found.append(inside)
+        pairs.append(inside)
     shown = Scene(self_collision=False, margin=MOUNT_DISTANCE, arm_radius=scene.arm_radius)
     for name, scan in query.scans.items():
         seen = _closest_pair(replace(shown, obstacles={name: scan}), state)
         if seen is not None:
-            found.append(seen._replace(margin=0.0))
-    return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
+            pairs.append(seen._replace(margin=0.0))
+    return min((pair for pair in pairs if pair is not None), key=lambda pair: pair.distance, default=None)
 
 
 def _closest_pair(scene: Scene, state: ArmState) -> NearestObstacle | None:
@@ -342,7 +344,7 @@ class MarksQuery(NamedTuple):
 
 def marks_of(query: MarksQuery, verdicts: VerdictCache) -> tuple[str, ...]:
     """Return whether each keyframe can be taken: "fine", "collides" or "refused"."""
-    return tuple(verdicts.judge(query.arm, each, query.scene).mark for each in query.keyframes)
+    return tuple(verdicts.judge(query.arm, keyframe, query.scene).mark for keyframe in query.keyframes)
 
 
 class Surroundings:

@@ -205,12 +205,12 @@ class MovedTip:
             parts += [part for part in np.diag(velocity) if np.any(part)]
         failed = ""
         for part in parts if np.any(velocity) else []:
-            found = self._found(part, scene)
-            if not isinstance(found, str):
-                self.q = found
+            nearer = self._found(part, scene)
+            if not isinstance(nearer, str):
+                self.q = nearer
                 self.reason = failed and f"moves in one direction only: {failed}"
                 break
-            failed = failed or found
+            failed = failed or nearer
             self.reason = f"stands: {failed}"
         return moving_target(self._arm, before, self.q, self._dt)
 
@@ -229,15 +229,15 @@ class MovedTip:
         shift = self._dt * (self._frame @ velocity)
         for _ in range(LEADERS.attempts):
             try:  # without obstacles: to push the arm clear of them can take several cycles
-                found = reach_from(arm, tip + shift, self.q, limits=self._limits)
-                found = found or reach_from(arm, tip + shift, self._bent(), limits=self._limits)
+                state = reach_from(arm, tip + shift, self.q, limits=self._limits)
+                state = state or reach_from(arm, tip + shift, self._bent(), limits=self._limits)
             except PostureError as error:
                 return str(error)
-            if found is None:
+            if state is None:
                 return "no posture is found with the tip there"
-            if np.all(np.abs(arm.difference(self.q, found.q)) <= bounds):
-                contact = describe_contact(CollisionModel(arm, scene), self.q, found.q)
-                return contact or found.q
+            if np.all(np.abs(arm.difference(self.q, state.q)) <= bounds):
+                contact = describe_contact(CollisionModel(arm, scene), self.q, state.q)
+                return contact or state.q
             shift = 0.5 * shift
         return "joints would have to be faster than their velocity limits"
 

@@ -283,13 +283,13 @@ class Operation:
             away = leader.rejoin(cast(Array, self._led))
             if away:
                 return away
-        wanted = np.zeros(3) if order is None else self._speed * order.override * order.direction
+        velocity = np.zeros(3) if order is None else self._speed * order.override * order.direction
         waits = self._reason_to_wait(tracker.report)
         if order is not None and waits:
-            wanted = np.zeros(3)
+            velocity = np.zeros(3)
         if order is not None and not waits and self._still_stands(order):
             return ""
-        self._ease(wanted, dt)
+        self._ease(velocity, dt)
         if order is None and not np.any(self._velocity):
             return released
         before = leader.q
@@ -382,7 +382,7 @@ class Operation:
         """Notice a joint that is stuck, and look for the way out."""
         if not self.goes_on or self._stuck is not None:
             return
-        stuck = [each for each in report.failures if each.kind == "stuck"]
+        stuck = [failure for failure in report.failures if failure.kind == "stuck"]
         if stuck:
             self._stuck = stuck[0]
             # What is held means another motion now.
@@ -416,13 +416,15 @@ class Operation:
         why = f": {report.reason}" if report.reason else ""
         return f"the arm is {length_text(behind)} behind{why}"
 
-    def _ease(self, wanted: Array, dt: float) -> None:
+    def _ease(self, velocity: Array, dt: float) -> None:
         """Bring the velocity of the tip, (3,) [m/s], towards what is wanted, in a cycle of a duration [s]."""
-        change = wanted - self._velocity
+        change = velocity - self._velocity
         size = float(np.linalg.norm(change))
         late = (self._clock() - self.shown.time) / dt
         most = min(max(late, 1.0), OPERATION.latest) * dt * cast(TipLeader, self._leader).acceleration
-        self._velocity = wanted if size <= most * (1.0 + ROUNDING) else self._velocity + most / size * change
+        self._velocity = (
+            velocity if size <= most * (1.0 + ROUNDING) else self._velocity + most / size * change
+        )
 
     def _set_limits(self, tracker: Tracker, order: Order | None) -> None:
         """Slow the tracker down by the override on its way to the start; the leader slows the tip later."""

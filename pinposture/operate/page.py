@@ -112,23 +112,23 @@ class Margin(NamedTuple):
 
 def margins_of(arm: Arm, q: Array, scene: Scene) -> list[Margin]:
     """Return the margins of an arm at a configuration (nq,) in a scene: joint limits, clearance, torques."""
-    found = []
+    margins = []
     turning = arm.columns[~arm.slides[arm.columns]]
     if len(turning):
         room = np.clip(room_to_limits(arm, q)[turning], 0.0, 1.0)
         joint = int(room.argmin())
         text = f"{arm.joint_names[turning[joint]]} has {100.0 * room[joint]:.0f} % of its half range left"
-        found.append(Margin("joint limits", float(room[joint]), text))
+        margins.append(Margin("joint limits", float(room[joint]), text))
     closest = CollisionModel(arm, scene).minimum(q)
     if closest.pair is not None:
         ample = LIVE_PAGE.ample * arm.length
         share = (closest.distance - scene.margin) / ample
         text = f"{describe_distance(closest.pair, closest.distance)}, margin {length_text(scene.margin)}"
-        found.append(Margin("clearance", min(max(share, 0.0), 1.0), text))
+        margins.append(Margin("clearance", min(max(share, 0.0), 1.0), text))
     load = arm.at(q).most_loaded()
     if load is not None:
-        found.append(Margin("torque", max(0.0, 1.0 - load.share), str(load)))
-    return found
+        margins.append(Margin("torque", max(0.0, 1.0 - load.share), str(load)))
+    return margins
 
 
 def bars_html(margins: Iterable[Margin]) -> str:
@@ -227,12 +227,12 @@ class CurveHandles:
     def _do(self, request: Any, _: str) -> None:
         request()
 
-    def _move(self, number: int, place: Array) -> None:
+    def _move(self, number: int, position: Array) -> None:
         """Move a control point to a place, (3,) [m], and have the way planned."""
         if self._curve is None:
             return
         points = self._curve.points.copy()
-        points[number] = place
+        points[number] = position
         self._curve = self._curve._replace(points=points)
         self._draw(self._curve)
         self._operation.reshape(self._curve)
@@ -257,8 +257,10 @@ class SceneDrawing:
 
     def show(self, scene: Scene, now: float) -> None:
         """Bring it up to date at a time [s]."""
-        maps = [each for each in scene.obstacles.values() if isinstance(each, Cells)]
-        known = {name: each for name, each in scene.obstacles.items() if not isinstance(each, Cells)}
+        maps = [obstacle for obstacle in scene.obstacles.values() if isinstance(obstacle, Cells)]
+        known = {
+            name: obstacle for name, obstacle in scene.obstacles.items() if not isinstance(obstacle, Cells)
+        }
         if tuple(known.values()) != self._known:
             self._known = tuple(known.values())
             self._draw(scene.with_obstacles(known))
@@ -277,15 +279,15 @@ class SceneDrawing:
         self._drawn = [
             self._server.scene.add_mesh_simple(
                 f"/obstacles/{number}",
-                each.surface.vertices,
-                each.surface.faces,
+                obstacle.surface.vertices,
+                obstacle.surface.faces,
                 color=color(THEME.obstacle),
                 opacity=THEME.see_through,
                 side="double",
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            for number, each in enumerate(shown_obstacles(scene, reach))
+            for number, obstacle in enumerate(shown_obstacles(scene, reach))
         ]
 
     def _draw_cells(self, cells: Cells) -> None:

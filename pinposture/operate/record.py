@@ -274,7 +274,7 @@ class Replay:
         self.control = Control()
         self.kind = f"a recording: {Path(path).name}"
         self._cycles = list(read_recording(arm, path, scene))
-        self._times = np.array([each.time for each in self._cycles])
+        self._times = np.array([cycle.time for cycle in self._cycles])
         self.shown = self._cycles[0]._replace(time=time.monotonic())
 
     def run(self, stop: Event) -> None:

@@ -222,13 +222,13 @@ class Ways:
         Returns:
             The way; None if there is no new one.
         """
-        found = self._found
-        if found is None or self.moving:
+        done = self._found
+        if done is None or self.moving:
             return None
         self._found = None
-        way = found.answer
+        way = done.answer
         if way is None:
-            self.say(f"{found.request.name}: no way: {found.error}")
+            self.say(f"{done.request.name}: no way: {done.error}")
             return None
         away = np.abs(way.arm.difference(q, way.start)) / way.arm.joint_units
         if away.max() > LEADERS.rejoined:
@@ -432,4 +432,4 @@ def read_steps(arm: Arm, path: str) -> list[NextStep]:
         raise FileError(path, f"is for an arm of {task.arm.nv} joints with other names; allowed: {allowed}")
     if isinstance(task.motion, Leader) or is_phased(task.motion):
         raise FileError(path, "has no keyframes; allowed: a task of keyframes")
-    return [NextStep(each.name, each.target) for each in task.reference().waypoints]
+    return [NextStep(waypoint.name, waypoint.target) for waypoint in task.reference().waypoints]

@@ -78,7 +78,7 @@ class CloudFrames:
         self._arm = arm
         self._world = world_frame(arm)
         frames = enumerate(arm.model.frames)
-        self._links = {str(each.name): k for k, each in frames if k and each.type == pin.FrameType.BODY}
+        self._links = {str(frame.name): k for k, frame in frames if k and frame.type == pin.FrameType.BODY}
         self.names = (self._world, *self._links)
 
     def require(self, frame: str) -> None:

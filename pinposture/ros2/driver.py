@@ -308,8 +308,8 @@ class Driver:
                 raise PostureError(str(error)) from error
 
         def declare_optional(name: str, value: float | None, words: str) -> float | None:
-            given = declare(name, value or 0.0, words, True)
-            return None if given == 0.0 else float(given)
+            number = declare(name, value or 0.0, words, True)
+            return None if number == 0.0 else float(number)
 
         self.settings = DriverSettings(
             rate=declare("rate", settings.rate, "cycles per second", True),
@@ -356,7 +356,7 @@ class Driver:
         """Let changed parameters take effect; those that are refused leave all as they were."""
         from rcl_interfaces.msg import SetParametersResult
 
-        changed = {each.name: each.value for each in parameters}
+        changed = {parameter.name: parameter.value for parameter in parameters}
         bounds = {name: value for name, value in changed.items() if name in self._bounds}
         try:
             settings = replace(self.settings, max_age=changed.get("max_age", self.settings.max_age))
@@ -419,8 +419,8 @@ class Driver:
         """Take joint states that wait: executors run timers first, and a late cycle needs what came last."""
         states = self._states
         with states.handle:
-            while found := states.handle.take_message(states.msg_type, states.raw):
-                self._take_joints(found[0])
+            while taken := states.handle.take_message(states.msg_type, states.raw):
+                self._take_joints(taken[0])
 
     def _take_path(self, message: Any) -> None:
         """Have a curve through points placed, in another thread."""
@@ -430,8 +430,8 @@ class Driver:
             placement = self._frames.fixed(frame)
             if placement is None:
                 raise InvalidValue("frame_id", frame, "the frame of the world or of the base")
-            poses = [each.pose.position for each in message.poses]
-            points = np.array([(each.x, each.y, each.z) for each in poses]).reshape(-1, 3)
+            poses = [pose.pose.position for pose in message.poses]
+            points = np.array([(point.x, point.y, point.z) for point in poses]).reshape(-1, 3)
             curve = Curve.points(points).moved(placement.rotation, placement.translation)
         except PostureError as error:
             self._refuse_target(error)
@@ -511,13 +511,13 @@ class Driver:
 
     # Joints that fail.
 
-    def _lockable(self, given: str) -> tuple[str, ...]:
+    def _lockable(self, text: str) -> tuple[str, ...]:
         """Return the names of joints, separated by commas, that are to be locked.
 
         Raises:
             PostureError: they cannot be.
         """
-        names = tuple(name.strip() for name in given.split(",") if name.strip())
+        names = tuple(name.strip() for name in text.split(",") if name.strip())
         if names:
             self.arm.with_locked(dict.fromkeys(names, 0.0))
         return names
@@ -529,9 +529,9 @@ class Driver:
             return
         known = {*self.locked, *self._stuck}
         stuck = [
-            each.joint
-            for each in self.tracker.report.failures
-            if each.kind == "stuck" and each.duration >= patience and each.joint not in known
+            failure.joint
+            for failure in self.tracker.report.failures
+            if failure.kind == "stuck" and failure.duration >= patience and failure.joint not in known
         ]
         if stuck:
             from rclpy.parameter import Parameter
@@ -680,11 +680,11 @@ class Driver:
 
     def _take_faults(self, done: Done[dict[str, Cloud], dict[str, str]]) -> None:
         """Pass faults of clouds on to the cycle; called in the thread."""
-        found = done.answer or dict.fromkeys(done.request, f"it failed: {done.error}")
+        faults_by_topic = done.answer or dict.fromkeys(done.request, f"it failed: {done.error}")
 
         def take() -> None:
-            faults = {**self._cloud_faults, **found}
-            times = [cloud.time for frame, cloud in done.request.items() if not found[frame]]
+            faults = {**self._cloud_faults, **faults_by_topic}
+            times = [cloud.time for frame, cloud in done.request.items() if not faults_by_topic[frame]]
             self._seen_at = max(times, default=self._seen_at)
             self._cloud_faults = {frame: fault for frame, fault in faults.items() if fault}
 

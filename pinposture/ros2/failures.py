@@ -144,9 +144,9 @@ class Outlooks:
                 process.interrupt()
             time.sleep(POLLING)
         try:
-            found: Outlook = process.result()
+            outlook: Outlook = process.result()
         except Interrupted as ended:
             raise Outdated from ended
         except EOFError as ended:
             raise PostureError("the process that looked for it was ended from outside") from ended
-        return found
+        return outlook

@@ -100,7 +100,7 @@ def spin(node: Any, stop: Callable[[], None], done: Callable[[], bool]) -> None:
         signals += 1
         stop()
 
-    before = {each: signal.signal(each, end) for each in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     try:
@@ -109,8 +109,8 @@ def spin(node: Any, stop: Callable[[], None], done: Callable[[], bool]) -> None:
     finally:
         executor.remove_node(node)
         executor.shutdown()
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def latest_only(reliable: bool) -> Any:

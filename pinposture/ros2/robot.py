@@ -94,16 +94,16 @@ class CommandedMotion:
         Returns:
             Why it is refused; empty if it is not.
         """
-        given = list(message.joint_names)
-        if sorted(given) != sorted(self.names):
-            return f"joint_names are {given}; allowed: {list(self.names)}, in any order"
+        names = list(message.joint_names)
+        if sorted(names) != sorted(self.names):
+            return f"joint_names are {names}; allowed: {list(self.names)}, in any order"
         points = message.points
-        if not points or any(len(each.positions) != len(given) for each in points):
+        if not points or any(len(point.positions) != len(names) for point in points):
             return "allowed: at least one point, each with a position for each joint"
-        order = [given.index(name) for name in self.names]
-        rows = np.array([np.array(each.positions)[order] for each in points])
-        delays = [each.time_from_start for each in points]
-        times = begin + np.array([each.sec + each.nanosec / NANOSECONDS for each in delays])
+        order = [names.index(name) for name in self.names]
+        rows = np.array([np.array(point.positions)[order] for point in points])
+        delays = [point.time_from_start for point in points]
+        times = begin + np.array([delay.sec + delay.nanosec / NANOSECONDS for delay in delays])
         if not np.all(np.isfinite(rows)) or np.any(np.diff([now, *times]) <= 0.0):
             return "allowed: finite positions, at increasing times from now on"
         self._rows = np.vstack([self.at(now), rows])
@@ -182,8 +182,8 @@ class SimulatedRobot:
         from std_msgs.msg import Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
-        given = {**dict.fromkeys(FAILURES, ""), "latency": self._latency, "silent": False}
-        for name, value in given.items():
+        parameters = {**dict.fromkeys(FAILURES, ""), "latency": self._latency, "silent": False}
+        for name, value in parameters.items():
             node.declare_parameter(name, value)
         node.add_on_set_parameters_callback(self._change_parameters)
         reliable = latest_only(True)
@@ -201,7 +201,7 @@ class SimulatedRobot:
     def _change_parameters(self, parameters: list[Any]) -> Any:
         from rcl_interfaces.msg import SetParametersResult
 
-        changed = {each.name: each.value for each in parameters}
+        changed = {parameter.name: parameter.value for parameter in parameters}
         names = {
             key: [name.strip() for name in changed.get(key, self._node.get_parameter(key).value).split(",")]
             for key in FAILURES

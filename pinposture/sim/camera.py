@@ -98,8 +98,8 @@ class TipCamera:
         self._model = spec.compile()
         self._scene = self._mujoco.MjData(self._model)
         carrier = arm.model.frames[self._frame].parentJoint
-        own = [number for number, (joint, _) in enumerate(self._solids) if joint == carrier]
-        self._own = self._model.body(f"body {own[-1]}").id if own else -1
+        solids = [number for number, (joint, _) in enumerate(self._solids) if joint == carrier]
+        self._own = self._model.body(f"body {solids[-1]}").id if solids else -1
 
     def _turn(self) -> Array:
         """Return the optical axes in the frame of the tip link, (3, 3)."""
@@ -131,7 +131,7 @@ class TipCamera:
         distances = np.zeros(count)
         seen = np.zeros(count, dtype=np.int32)
         directions = np.ascontiguousarray(self._rays @ optical.rotation.T).ravel()
-        given: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "pnt": np.array(optical.translation),
             "vec": directions,
             "geomgroup": None,
@@ -143,8 +143,8 @@ class TipCamera:
             "cutoff": self.camera.reach,
         }
         if "normal:" in (mujoco.mj_multiRay.__doc__ or ""):  # since MuJoCo 3.4
-            given["normal"] = None
-        mujoco.mj_multiRay(self._model, self._scene, **given)
+            arguments["normal"] = None
+        mujoco.mj_multiRay(self._model, self._scene, **arguments)
         hit = (seen >= 0) & (distances <= self.camera.reach)
         measured = distances[hit] + self.camera.noise * self._rng.standard_normal(int(hit.sum()))
         image = np.full(count, np.inf)

@@ -151,12 +151,12 @@ class ContactHistory:
     @cached_property
     def of_arm(self) -> tuple[ContactEvent, ...]:
         """The contacts of the arm, with obstacles and with itself, in order of the first touch."""
-        return tuple(each for each in self.all if each.pair[0] in self.own)
+        return tuple(event for event in self.all if event.pair[0] in self.own)
 
     @cached_property
     def faults(self) -> tuple[ContactEvent, ...]:
         """The contacts of the arm that are not allowed."""
-        return tuple(each for each in self.of_arm if each.pair[1] not in self.touchable)
+        return tuple(event for event in self.of_arm if event.pair[1] not in self.touchable)
 
     def scene_in(self, row: int, scene: Scene) -> Scene:
         """Return a scene with its free obstacles where they are in a row, given that at the start."""
@@ -167,9 +167,10 @@ class ContactHistory:
     def summary(self) -> dict[str, Any]:
         """Return the contacts as data for JSON."""
         told = [
-            {**each._asdict(), "pair": list(each.pair), "of_arm": each in self.of_arm} for each in self.all
+            {**event._asdict(), "pair": list(event.pair), "of_arm": event in self.of_arm}
+            for event in self.all
         ]
-        return {"first_touch": next((each for each in told if each["of_arm"]), None), "all": told}
+        return {"first_touch": next((event for event in told if event["of_arm"]), None), "all": told}
 
 
 def add_contact(spec: Any, arm: Arm, scene: Scene, contact: ContactModel) -> None:
@@ -318,10 +319,10 @@ class ContactRecorder:
     def end_cycle(self, data: Any, duration: float) -> None:
         """End the row of a cycle of a duration [s], or that of the start."""
         placements = []
-        for each in self._free:
-            x, y, z, w, *vector = data.qpos[each]
+        for columns in self._free:
+            x, y, z, w, *vector = data.qpos[columns]
             pose = pin.XYZQUATToSE3(np.array([x, y, z, *vector, w]))
-            start = pin.SE3(np.eye(3), self._model.qpos0[each][:3])
+            start = pin.SE3(np.eye(3), self._model.qpos0[columns][:3])
             placements.append((pose * start.inverse()).homogeneous)
         displacements = np.reshape(placements, (len(self._free), 4, 4))
         forces = {pair: impulse / duration for pair, impulse in self._impulses.items()}
@@ -351,7 +352,7 @@ class ContactRecorder:
 
     def _touching(self, data: Any) -> dict[Pair, Touching]:
         """Return the pairs that touch; MuJoCo lists their points."""
-        found: dict[Pair, Touching] = {}
+        touching: dict[Pair, Touching] = {}
         wrench = np.zeros(6)
         for k in range(data.ncon):
             self._mujoco.mj_contactForce(self._model, data, k, wrench)
@@ -359,17 +360,17 @@ class ContactRecorder:
                 continue
             contact = data.contact[k]
             axes = np.array(contact.frame).reshape(3, 3)  # the first leads from the first shape to the other
-            first, second = (int(each) for each in contact.geom)
-            speeds = [axes @ self._velocity(data, each, contact.pos) for each in (first, second)]
+            first, second = (int(shape) for shape in contact.geom)
+            speeds = [axes @ self._velocity(data, shape, contact.pos) for shape in (first, second)]
             moved = speeds[1] - speeds[0]
             force = -wrench[:3] @ axes
             if self._ranks[first] > self._ranks[second]:
                 first, second = second, first
                 force = -force
             pair = self._names[first], self._names[second]
-            touching = Touching(force, max(0.0, -float(moved[0])), float(np.hypot(moved[1], moved[2])))
-            found[pair] = found[pair].with_point(touching) if pair in found else touching
-        return found
+            touch = Touching(force, max(0.0, -float(moved[0])), float(np.hypot(moved[1], moved[2])))
+            touching[pair] = touching[pair].with_point(touch) if pair in touching else touch
+        return touching
 
     def _velocity(self, data: Any, shape: int, point: Array) -> Array:
         """Return the velocity of a point of a shape, (3,) [m/s], world axes."""

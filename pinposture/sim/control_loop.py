@@ -335,8 +335,8 @@ class Recording:
         clearance = np.full(len(q), np.inf)
         if scene is not None:
             moved = [scene if contacts is None else contacts.scene_in(row, scene) for row in range(len(q))]
-            found = (CollisionModel(arm, at).minimum(row) for at, row in zip(moved, q, strict=True))
-            clearance = np.array([closest.distance for closest in found])
+            minima = (CollisionModel(arm, at).minimum(row) for at, row in zip(moved, q, strict=True))
+            clearance = np.array([closest.distance for closest in minima])
         goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
         error = goal.mean_distance(points[-1])
         tolerance = END_TOLERANCE * arm.length if tolerance is None else tolerance
@@ -347,9 +347,9 @@ class Recording:
             reason = _final_error(error, tolerance, plant.dt * (len(q) - 1), plant.saturated)
         targets = weights = None
         if self._targets:
-            weights = np.array([each.weights for each in self._targets], dtype=np.float64)
+            weights = np.array([target.weights for target in self._targets], dtype=np.float64)
             # Target points with weight 0 may be NaN.
-            targets = np.where(weights[..., None] > 0.0, [each.points for each in self._targets], 0.0)
+            targets = np.where(weights[..., None] > 0.0, [target.points for target in self._targets], 0.0)
         return Simulation(
             arm=arm,
             loop=loop,

@@ -198,13 +198,13 @@ def torques_within_limits(
     """
     hessian = mobility + np.diag(1.0 / damping)
     scale = 1.0 / np.sqrt(np.diag(hessian))
-    found = solve(
+    solution = solve(
         hessian * np.outer(scale, scale),
         -(spring / damping - unmoved) * scale,
         np.maximum(lower / scale, -UNBOUNDED),
         np.minimum(upper / scale, UNBOUNDED),
     )
-    torques = found.x if found.x is not None else np.zeros(len(spring))
+    torques = solution.x if solution.x is not None else np.zeros(len(spring))
     return np.clip(torques * scale, lower, upper)
 
 
@@ -314,15 +314,15 @@ def build_plant_model(
         model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]
     columns = np.array([dofs[name] for name in drives.names], dtype=np.intp)
     effort[columns] = arm.effort / np.abs(drives.ratios)
-    for each in followers:
-        rest[dofs[each.joint]] = each.offset
+    for follower in followers:
+        rest[dofs[follower.joint]] = follower.offset
     leading, coupling = _independent(followers, dofs)
     effort[~leading] = math.inf
     sites = np.array([model.site(f"point_{k}").id for k in range(arm.n_modules)], dtype=np.intp)
     data = mujoco.MjData(model)
     matrices = []
-    own = np.searchsorted(np.flatnonzero(leading), columns)
-    of_arm = coupling[:, own]
+    of_chain = np.searchsorted(np.flatnonzero(leading), columns)
+    of_arm = coupling[:, of_chain]
     for positions in _sample_positions(arm):
         data.qpos[:] = rest + of_arm @ drives.positions(positions)
         mujoco.mj_forward(model, data)
@@ -330,7 +330,7 @@ def build_plant_model(
         matrices.append(coupling.T @ full_mass_matrix(model, data) @ coupling)
     units = np.where(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE, arm.characteristic_length, 1.0)
     least = (model.dof_frictionloss + model.dof_damping * units) / (DESIGN.max_deflection * units)
-    servos, gains = _tuned(servos, arm, matrices, np.abs(coupling).T @ least, own)
+    servos, gains = _tuned(servos, arm, matrices, np.abs(coupling).T @ least, of_chain)
     model.dof_frictionloss[columns] += servos.friction
     model.dof_solimp[:, :2] = DESIGN.friction_holds
     if contact is not None:
@@ -357,9 +357,9 @@ def _independent(followers: list[Coupling], dofs: dict[str, int]) -> tuple[NDArr
     """Return which joints follow no other, (n,), and the motion of all per motion of these, (n, i)."""
     leading = np.ones(len(dofs), dtype=np.bool_)
     coupling = np.eye(len(dofs))
-    for each in followers:
-        leading[dofs[each.joint]] = False
-        coupling[dofs[each.joint], dofs[each.leader]] = each.ratio
+    for follower in followers:
+        leading[dofs[follower.joint]] = False
+        coupling[dofs[follower.joint], dofs[follower.leader]] = follower.ratio
     return leading, coupling[:, leading]
 
 
@@ -380,7 +380,7 @@ def _acceleration(arm: Arm, gravity: bool | ArrayLike) -> Array:
 
 
 def _tuned(
-    servos: Servos, arm: Arm, matrices: list[Array], least: Array, own: NDArray[np.intp]
+    servos: Servos, arm: Arm, matrices: list[Array], least: Array, of_chain: NDArray[np.intp]
 ) -> tuple[Servos, Gains]:
     """Return servos with their frequency, and their gains at the i independent joints.
 
@@ -389,19 +389,21 @@ def _tuned(
         arm: the arm.
         matrices: mass matrices, (i, i) each.
         least: minimum stiffness of each joint if it follows from the frequency, (i,) [N m/rad or N/m].
-        own: the joints that drives of the arm move among the independent ones, (nv,).
+        of_chain: the joints that drives of the arm move among the independent ones, (nv,).
     """
     if servos.frequency is not None or arm.weight.stiffness is None:
         tuned = servos if servos.frequency is not None else replace(servos, frequency=DESIGN.frequency)
         return tuned, tuned.gains(matrices, least)
     springs = scaled(arm.stiffness, 1.0 / arm.drives.ratios)
-    slowest = min(float(eigh(springs, each[np.ix_(own, own)], eigvals_only=True)[0]) for each in matrices)
+    slowest = min(
+        float(eigh(springs, matrix[np.ix_(of_chain, of_chain)], eigvals_only=True)[0]) for matrix in matrices
+    )
     tuned = replace(servos, frequency=math.sqrt(slowest) / (2.0 * math.pi))
     others = tuned.gains(matrices, least)  # of joints that the arm does not move
     stiffness = np.diag(others.stiffness)
-    stiffness[np.ix_(own, own)] = springs
+    stiffness[np.ix_(of_chain, of_chain)] = springs
     damping = others.damping
-    damping[own] = 2.0 * servos.damping / math.sqrt(slowest) * np.diagonal(springs)
+    damping[of_chain] = 2.0 * servos.damping / math.sqrt(slowest) * np.diagonal(springs)
     diagonal = np.diagonal(stiffness)
     return tuned, Gains(
         diagonal.copy() if np.array_equal(np.diag(diagonal), stiffness) else stiffness, damping
@@ -435,11 +437,13 @@ def _followers(arm: Arm) -> list[Coupling]:
     columns = {name: column for column, name in enumerate(arm.joint_names)}
     led = [*(Coupling(name, name, 1.0, 0.0) for name in columns), *arm.couplings]
     followers = []
-    for each in led:
-        drive = arm.drives[columns[each.leader]]
-        if each.joint != drive.joint:
-            ratio = each.ratio / drive.ratio
-            followers.append(Coupling(each.joint, drive.joint, ratio, each.offset - ratio * drive.offset))
+    for coupling in led:
+        drive = arm.drives[columns[coupling.leader]]
+        if coupling.joint != drive.joint:
+            ratio = coupling.ratio / drive.ratio
+            followers.append(
+                Coupling(coupling.joint, drive.joint, ratio, coupling.offset - ratio * drive.offset)
+            )
     return followers
 
 
@@ -509,8 +513,8 @@ def _specification(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
     added = [spec.worldbody.add_body(name=str(model.names[0]), **_placement(arm.base_placement))]
-    followers = {each.joint for each in _followers(arm)}
-    edges = np.sort([arm.drives.ratios * each + arm.drives.offsets for each in arm.limits[:2]], axis=0)
+    followers = {follower.joint for follower in _followers(arm)}
+    edges = np.sort([arm.drives.ratios * limit + arm.drives.offsets for limit in arm.limits[:2]], axis=0)
     limits = dict(zip(arm.drives.names, edges.T, strict=True))
     for number, (joint, rigid) in enumerate(zip(list(model.joints)[1:], bodies, strict=True), start=1):
         xx, xy, yy, xz, yz, zz = rigid.inertia[np.tril_indices(3)]
@@ -570,7 +574,7 @@ def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]
     children = _links_after(model)
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     positions: dict[str, float] = {}
-    moving = {*arm.drives.names, *arm.joint_names, *(each.joint for each in arm.couplings)}
+    moving = {*arm.drives.names, *arm.joint_names, *(coupling.joint for coupling in arm.couplings)}
     for frame in frames:
         if frame.type != pin.FrameType.JOINT or frame.name in moving:
             continue

@@ -120,8 +120,8 @@ class Plant:
     def _compensation(self) -> Array:
         """Servo torques that compensate gravity, (n,) [N m or N]; zero where a joint follows another."""
         compensation = np.zeros(self._joints)
-        own = self._data.qfrc_gravcomp[: self._joints]
-        compensation[np.sort(self._driven)] = self.model.coupling.T @ own
+        compensated = self._data.qfrc_gravcomp[: self._joints]
+        compensation[np.sort(self._driven)] = self.model.coupling.T @ compensated
         return compensation
 
     def fail(
@@ -209,15 +209,15 @@ class Plant:
                 return
             self._at_limit = saturated
         self._integrate(state, 0.0 * compensation, 0.0 * damping)
-        own = self._driven
+        driven = self._driven
         within = np.zeros(len(spring))
-        within[own] = torques_within_limits(
-            self._mobility()[np.ix_(own, own)],
-            np.array(data.qvel)[own],
-            spring[own],
-            damping[own],
-            (-limits - compensation)[own],
-            (limits - compensation)[own],
+        within[driven] = torques_within_limits(
+            self._mobility()[np.ix_(driven, driven)],
+            np.array(data.qvel)[driven],
+            spring[driven],
+            damping[driven],
+            (-limits - compensation)[driven],
+            (limits - compensation)[driven],
         )
         self._integrate(state, within, 0.0 * damping)
         self._torques = within + compensation
@@ -245,10 +245,10 @@ class Plant:
         coupling = self.model.coupling
         step = self._model.opt.timestep
         self._mujoco.mj_forward(self._model, data)
-        own = self._model.dof_damping
+        passive = self._model.dof_damping
         matrix = full_mass_matrix(self._model, data)
-        forces = torques + data.qfrc_passive + own * data.qvel - data.qfrc_bias
-        moving = coupling.T @ (matrix + step * np.diag(own + damping)) @ coupling
+        forces = torques + data.qfrc_passive + passive * data.qvel - data.qfrc_bias
+        moving = coupling.T @ (matrix + step * np.diag(passive + damping)) @ coupling
         speeds = coupling @ np.linalg.solve(moving, coupling.T @ (matrix @ data.qvel + step * forces))
         reached = data.qpos + step * speeds
         lower, upper = self._model.jnt_range.T

@@ -158,12 +158,12 @@ class Simulation(Outcome):
         others = f", and {len(faults) - 1} more pairs touch" if len(faults) > 1 else ""
         allowed = self._allowed_deviation
         slipped = tuple(
-            f"{each.obstacle} slips {length_text(each.distance)} in the arm until {each.time:.4g} s "
+            f"{slip.obstacle} slips {length_text(slip.distance)} in the arm until {slip.time:.4g} s "
             f"(allowed {length_text(allowed)})"
-            for each in self.slipped
-            if each.distance > allowed
+            for slip in self.slipped
+            if slip.distance > allowed
         )
-        return tuple(f"{each}{others}" for each in faults[:1]) + slipped
+        return tuple(f"{fault}{others}" for fault in faults[:1]) + slipped
 
     @cached_property
     def slipped(self) -> tuple[Slip, ...]:
@@ -175,13 +175,13 @@ class Simulation(Outcome):
             return ()
         free = list(self.contacts.model.masses)
         obstacles = self.scene.obstacles
-        found = []
-        for each in self.held:
-            if each.obstacle in free and each.begin < len(self.q):
-                middle = obstacles[each.obstacle].pose(np.zeros(3)).translation
-                placed = self.contacts.displacements[:, free.index(each.obstacle)]
-                found.append(self._slip(each, middle, placed))
-        return tuple(found)
+        slips = []
+        for held in self.held:
+            if held.obstacle in free and held.begin < len(self.q):
+                middle = obstacles[held.obstacle].pose(np.zeros(3)).translation
+                placed = self.contacts.displacements[:, free.index(held.obstacle)]
+                slips.append(self._slip(held, middle, placed))
+        return tuple(slips)
 
     def _slip(self, held: HeldObject, middle: Array, placed: Array) -> Slip:
         """Return how far an object slid that began in the middle, (3,) [m], and was moved, (N, 4, 4)."""
@@ -283,7 +283,7 @@ class Simulation(Outcome):
             "measured_share": self.measured,
             "clearance": closest(self),
             "contact": None if self.contacts is None else self.contacts.summary(),
-            "slipped": [each._asdict() for each in self.slipped],
+            "slipped": [slip._asdict() for slip in self.slipped],
             "warnings": list(self.warnings),
         }
         if self.target_errors is not None and self.weights is not None:
@@ -309,7 +309,7 @@ class Simulation(Outcome):
 
     def _largest_effort(self, turning: bool, unit: str) -> dict[str, Any] | None:
         """Return the largest torque of the drives that turn joints, or force of the others; None if none."""
-        which = np.array([each.turns == turning for each in self.arm.drives])
+        which = np.array([drive.turns == turning for drive in self.arm.drives])
         if not np.any(which):
             return None
         sizes = np.where(which, np.abs(self.torques), -1.0)
@@ -376,24 +376,24 @@ def _check(simulation: Simulation) -> None:
         "targets": (rows, m, 3),
         "weights": (rows, m),
     }
-    given = {name: array for name, array in vars(simulation).items() if array is not None}
-    check_arrays(given, {name: shape for name, shape in shapes.items() if name in given})
-    check_postures(arm, given)
-    check_postures(arm, given, "commanded", "commanded_points")
+    arrays = {name: array for name, array in vars(simulation).items() if array is not None}
+    check_arrays(arrays, {name: shape for name, shape in shapes.items() if name in arrays})
+    check_postures(arm, arrays)
+    check_postures(arm, arrays, "commanded", "commanded_points")
     for name in ("gravity", "torques", "saturated", "targets", "weights"):
-        if name in given:
-            require_finite(name, given[name])
+        if name in arrays:
+            require_finite(name, arrays[name])
     for name in ("torque_limits", "clearance"):  # which may be infinite
-        if np.isnan(given[name]).any():
+        if np.isnan(arrays[name]).any():
             raise InvalidValue(name, math.nan, "numbers")
     if simulation.contacts is not None:
         _check_contacts(simulation.contacts, rows)
-    if not np.all(given["torque_limits"] > 0.0):
-        raise InvalidValue("torque_limits", float(given["torque_limits"].min()), "numbers > 0, or infinity")
+    if not np.all(arrays["torque_limits"] > 0.0):
+        raise InvalidValue("torque_limits", float(arrays["torque_limits"].min()), "numbers > 0, or infinity")
     for name in ("dt", "timestep"):
-        require_positive(name, given[name])
+        require_positive(name, arrays[name])
     for name in ("tolerance", "measured"):
-        require_positive(name, given[name], zero=True)
+        require_positive(name, arrays[name], zero=True)
 
 
 def _check_contacts(contacts: ContactHistory, rows: int) -> None:

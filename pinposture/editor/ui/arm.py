@@ -205,10 +205,10 @@ def stretch_indices(state: ArmState) -> NDArray[np.float64]:
     width = stretch_width(arm)
     m = arm.n_modules
     ends = np.arange(1, m + 1)
-    own: NDArray[np.float64] = state.manipulability()[np.maximum(ends - width, 0), ends]
+    values: NDArray[np.float64] = state.manipulability()[np.maximum(ends - width, 0), ends]
     if width > 1:
-        own[: width - 1] = own[width - 1] if m >= width else 0.0
-    return own
+        values[: width - 1] = values[width - 1] if m >= width else 0.0
+    return values
 
 
 def stretch_width(arm: Arm) -> int:
@@ -258,14 +258,14 @@ class Ellipsoids:
             return
         self._steps = steps
         ellipsoids = state.ellipsoids(self.points)
-        frames = np.array([principal_frame(each) for each in ellipsoids])
-        radii = np.array([np.append(each.radii, 0.0)[:3] for each in ellipsoids]) * self._length
-        centers = [each.center for each in ellipsoids]
+        frames = np.array([principal_frame(ellipsoid) for ellipsoid in ellipsoids])
+        radii = np.array([np.append(ellipsoid.radii, 0.0)[:3] for ellipsoid in ellipsoids]) * self._length
+        centers = [ellipsoid.center for ellipsoid in ellipsoids]
         wxyzs = quaternions(frames.transpose(0, 2, 1))
         self._balls.batched_positions = np.array(centers, dtype=np.float32)
         self._balls.batched_wxyzs = wxyzs.astype(np.float32)
         self._balls.batched_scales = np.maximum(radii, self._thinnest).astype(np.float32)
-        colors = [color(palette.index_color(each.index)) for each in ellipsoids]
+        colors = [color(palette.index_color(ellipsoid.index)) for ellipsoid in ellipsoids]
         self._balls.batched_colors = np.array(colors, dtype=np.uint8)
 
 
@@ -362,7 +362,7 @@ class ArmTab:
         self._due = 0.0
         self._facts = gui.add_markdown("")
         controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="It moves the arm")
-        self._numbers = [self._add_number(gui, bind, each) for each in NUMBERS if each.kind is Limits]
+        self._numbers = [self._add_number(gui, bind, number) for number in NUMBERS if number.kind is Limits]
         at_once = gui.add_checkbox("At once", False, hint="Jump to each shape, ignoring the limits")
         self._coloring = gui.add_dropdown("Colours", tuple(COLORINGS), hint="What the colours of bodies tell")
         self._meaning = gui.add_html("")
@@ -381,7 +381,9 @@ class ArmTab:
             mass = gui.add_number("Payload [kg]", 0.0, min=0.0, step=0.1, hint=hint)
             mass.precision = LOOK.rate_digits
             self._payload = bind(mass, _payload_of, _carry)
-            self._numbers += [self._add_number(gui, bind, each) for each in NUMBERS if each.kind is Weight]
+            self._numbers += [
+                self._add_number(gui, bind, number) for number in NUMBERS if number.kind is Weight
+            ]
             kept = gui.add_checkbox("Keep torques", False, hint=describe_field(Limits, "effort"))
             self._kept = bind(kept, lambda session: session.task.limits.effort is not None, _keep_torques)
 
@@ -419,7 +421,7 @@ def _meaning(coloring: str, arm: Arm) -> str:
 
 
 def _payload_of(session: Session) -> float:
-    masses = [each.mass for each in session.task.arm.weight.payloads if is_at_tip(each)]
+    masses = [load.mass for load in session.task.arm.weight.payloads if is_at_tip(load)]
     return round(sum(masses), LOOK.rate_digits)
 
 

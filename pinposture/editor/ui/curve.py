@@ -174,12 +174,12 @@ def move_point(
         return
     if index not in session.handles:
         session.take_hold(index)
-    place = np.asarray(position)
+    point = np.asarray(position)
     together = session.handles
     if snap and session.grid > 0.0:
-        place = session.grid * np.round(place / session.grid)
+        point = session.grid * np.round(point / session.grid)
     what = f"moved {named(together or [index])}"
-    session.reshape(lambda arm, shape: shape.moved(arm, index, place, together), what, final)
+    session.reshape(lambda arm, shape: shape.moved(arm, index, point, together), what, final)
 
 
 def named(indices: Sequence[int]) -> str:
@@ -255,11 +255,11 @@ class Handles:
         for index, (ball, point) in enumerate(zip(self._balls, points, strict=True)):
             if index == 0 or not self._drags[index].held:
                 put_at(ball, point)
-            own = CURVE.selected_color if index in session.handles else CURVE.ball_color
-            own = THEME.base if index == 0 else own
-            if self._colors[index] != own:
-                self._colors[index] = own
-                ball.color = color(own)
+            shade = CURVE.selected_color if index in session.handles else CURVE.ball_color
+            shade = THEME.base if index == 0 else shade
+            if self._colors[index] != shade:
+                self._colors[index] = shade
+                ball.color = color(shade)
         ends = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         put(self._frame, visible=len(ends) > 0)
         same = self._frame.points.shape == ends.shape and np.allclose(self._frame.points, ends, atol=1e-7)
@@ -400,8 +400,11 @@ class OtherCurves:
     def _draw(self, keyframes: tuple[Keyframe, ...], selected: int) -> None:
         before = self._drawn
         self._drawn = {}
-        for each in keyframes:  # kept with its line, so that its id stays its own
-            self._drawn[id(each)] = before.get(id(each)) or (each, needed_part(self._arm, each))
+        for keyframe in keyframes:  # kept with its line, so that its id stays its own
+            self._drawn[id(keyframe)] = before.get(id(keyframe)) or (
+                keyframe,
+                needed_part(self._arm, keyframe),
+            )
         others = [index for index in range(len(keyframes)) if index != selected]
         lines = np.stack([self._drawn[id(keyframes[index])][1] for index in others])
         shares = CURVE.earliest + (1.0 - CURVE.earliest) * np.array(others) / (len(keyframes) - 1)

@@ -197,18 +197,18 @@ class ExportButtons:
             put(self._text, content=f"*{now.kind}: {doing}*")
 
     def _start_next(self, session: Session) -> None:
-        wanted = self._queue[0]
+        export = self._queue[0]
         preview = session.playback.preview
         working = preview.working
-        done = preview.of(wanted.task)
+        done = preview.of(export.task)
         if done is not None:
             self._queue.pop(0)
             if done.motion is not None:  # else a message has said why not
-                self._writing = wanted
-                self._files.ask((wanted, done.motion))
-        elif wanted.task is not session.whole or not working:
+                self._writing = export
+                self._files.ask((export, done.motion))
+        elif export.task is not session.whole or not working:
             self._queue.pop(0)
-            text = f"{wanted.kind}: not exported, the task changed or the motion was cancelled"
+            text = f"{export.kind}: not exported, the task changed or the motion was cancelled"
             session.say(text, "warning")
 
     async def _on_click(self, event: Any) -> None:
@@ -221,19 +221,19 @@ class ExportButtons:
         session.playback.compute_preview(session.whole)
 
     def _report(self, done: Done[tuple[RequestedExport, Trajectory], str], session: Session) -> None:
-        wanted = done.request[0]
+        export = done.request[0]
         self._writing = None
         if done.answer is not None:
             session.say(done.answer)
             return
         expected = isinstance(done.error, EXPECTED_ERRORS)
         reason = f": {done.error}" if expected else f" ({done.error})"
-        session.say(f"{wanted.kind}: not exported{reason}", "error")
+        session.say(f"{export.kind}: not exported{reason}", "error")
 
 
 def _send(asked: tuple[RequestedExport, Trajectory], _: Event) -> str:
     """Write the file of a motion, and send it; returns what it is, in words."""
-    wanted, motion = asked
-    made = export(motion, wanted.kind, wanted.stem)
-    wanted.client.send_file_download(made.name, made.content, save_immediately=True)
+    requested, motion = asked
+    made = export(motion, requested.kind, requested.stem)
+    requested.client.send_file_download(made.name, made.content, save_immediately=True)
     return made.summary

@@ -266,8 +266,8 @@ def about(keyframe: Keyframe, task: Task | None = None) -> str:
 
 
 def _describe_tip(tip: EndEffector) -> str:
-    place = np.asarray(tip.position if tip.pose is None else np.asarray(tip.pose)[:3, 3])
-    at = ", ".join(f"{value:.4g}" for value in place)
+    position = np.asarray(tip.position if tip.pose is None else np.asarray(tip.pose)[:3, 3])
+    at = ", ".join(f"{value:.4g}" for value in position)
     point = repr(tip.point)
     if not isinstance(tip.point, str):
         point = str(tip.point + 1) if tip.point >= 0 else f"{-tip.point} from the tip"

@@ -161,14 +161,14 @@ class Toolbar:
 def status_of(session: Session, live: Live) -> tuple[str, str, str]:
     """Return the status of the arm: "good", "warning" or "error", a heading, and more."""
     verdict = live.verdict
-    found = session.nearest
+    nearest = session.nearest
     if live.number < session.number and time.monotonic() - session.asked > STATUS.judging_time:
         return "warning", "Checking whether the arm can take this shape ...", ""
     if verdict.reason:
         return "error", "The arm cannot take this shape", verdict.reason
     head = _heading(session, live)
-    if found is not None and found.distance < 0.0:
-        return "error", "The arm is in collision", f"{clearance_text(found)}; {head[0].lower()}{head[1:]}"
+    if nearest is not None and nearest.distance < 0.0:
+        return "error", "The arm is in collision", f"{clearance_text(nearest)}; {head[0].lower()}{head[1:]}"
     if verdict.collision:
         return "warning", "At rest on this curve, the arm would collide", verdict.notes[0]
     if live.reason and live.reason != NOT_DONE and live.status != "converged":
@@ -183,8 +183,8 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
 def _is_off(session: Session, live: Live) -> bool:
     """Return whether the arm takes the shape badly, or is within the margin of something."""
     length = live.arm.length
-    found = session.nearest
-    if found is not None and found.distance < found.margin:
+    nearest = session.nearest
+    if nearest is not None and nearest.distance < nearest.margin:
         return True
     if session.playback.q is not None or live.status == "moving":
         return False
@@ -379,7 +379,7 @@ def viewpoint(task: Task) -> Viewpoint:
     """Return a camera that has the straight arm and the curves of all keyframes in sight."""
     arm = task.arm
     points = [arm.chain.base[None], arm.at(arm.straight()).points]
-    points += [needed_part(arm, each) for each in keyframes_of(task)]
+    points += [needed_part(arm, keyframe) for keyframe in keyframes_of(task)]
     radius = CURVE.ball_radius * link_radius(arm)
     return framing(np.vstack(points), radius, camera_direction(arm), PAGE.least_aspect, PAGE.covered_at_first)
 
@@ -536,8 +536,8 @@ class Page:
         """Move the camera of one or all browsers so that the arm, its curves and balls are in sight."""
         arm = session.arm
         q = self._arm.q
-        own = [self._arm.foot, arm.chain.base[None], session.shape.points, arm.at(q).points]
-        points = np.vstack([*own, *(needed_part(arm, each) for each in keyframes_of(session.shown))])
+        seen = [self._arm.foot, arm.chain.base[None], session.shape.points, arm.at(q).points]
+        points = np.vstack([*seen, *(needed_part(arm, keyframe) for keyframe in keyframes_of(session.shown))])
         radius = CURVE.ball_radius * link_radius(arm)
         for number, client in self._server.get_clients().items():
             camera = client.camera

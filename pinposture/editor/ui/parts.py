@@ -118,10 +118,10 @@ def put(handle: Any, **values: Any) -> None:
             setattr(handle, name, value)
 
 
-def put_at(handle: Any, place: Array, tolerance: float = 1e-7) -> None:
+def put_at(handle: Any, position: Array, tolerance: float = 1e-7) -> None:
     """Move a node to a place, (3,) [m], unless it is within a tolerance [m] of it."""
-    if not np.allclose(handle.position, place, atol=tolerance):
-        handle.position = place
+    if not np.allclose(handle.position, position, atol=tolerance):
+        handle.position = position
 
 
 def add_lines(
@@ -324,4 +324,4 @@ class Bound:
         """Return the value of what the field shows."""
         if self._unit is None:
             return shown
-        return self._unit * shown if np.ndim(shown) == 0 else tuple(self._unit * each for each in shown)
+        return self._unit * shown if np.ndim(shown) == 0 else tuple(self._unit * number for number in shown)

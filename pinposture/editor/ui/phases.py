@@ -179,22 +179,22 @@ class PhasePlanner:
         self._planning.ask(self._wanted)
 
     def _take(self, done: Done[WantedPhase, Task], session: Session) -> None:
-        wanted = done.request
+        request = done.request
         view = done.answer
-        if wanted is not self._wanted:
+        if request is not self._wanted:
             return
         if view is None:
-            session.say(f"{wanted.what}: not possible: {done.error}", "error")
-        elif session.task is not wanted.before:
+            session.say(f"{request.what}: not possible: {done.error}", "error")
+        elif session.task is not request.before:
             reason = "dropped, since the task was changed meanwhile; try again"
-            session.say(f"{wanted.what}: {reason}", "warning")
+            session.say(f"{request.what}: {reason}", "warning")
         else:
             first = 1 if isinstance(view, EditedPhase) and view.begin is not None else 0
-            session.take_up(view, first, wanted.what)
+            session.take_up(view, first, request.what)
 
 
-def _plan(wanted: WantedPhase, _: Event) -> Task:
-    return editable(wanted.whole, wanted.number)
+def _plan(request: WantedPhase, _: Event) -> Task:
+    return editable(request.whole, request.number)
 
 
 def rename_phase(name: str, session: Session) -> None:

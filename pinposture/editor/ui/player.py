@@ -227,9 +227,9 @@ def with_lines(
     """
     ends = [np.concatenate([moments, np.nextafter(moments, np.inf)]) for moments in marks]
     x = np.sort(np.concatenate([times, *ends]))
-    given = [np.interp(x, times, column) for column in columns]
+    drawn = [np.interp(x, times, column) for column in columns]
     lines = [np.where(np.searchsorted(moments, x) % 2, high, low) for moments in marks]
-    return (x, *given, *lines)
+    return (x, *drawn, *lines)
 
 
 def _thinned(trace: Trace) -> Trace:
@@ -499,8 +499,8 @@ class TimeAxis:
 
     def _at(self, kind: str, time: float, text: str, style: str = "", about: str = "") -> str:
         """Return an element at a time [s], as HTML."""
-        place = f"left:{100.0 * time / self._length:.3f}%"
-        return f'<div {about} style="{STYLES[kind]};{place};{style}">{text}</div>'
+        left = f"left:{100.0 * time / self._length:.3f}%"
+        return f'<div {about} style="{STYLES[kind]};{left};{style}">{text}</div>'
 
     def _take(self, text: str) -> None:
         with suppress(ValueError):  # that no page of ours says
@@ -635,7 +635,7 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     passes = passes_of(task)
     if motion is None:
         duration = passes[-1].time + keyframes_of(task)[-1].hold
-        return duration, [DrawnPass(each, True) for each in passes[: TIMELINE.most_drawn]]
+        return duration, [DrawnPass(one, True) for one in passes[: TIMELINE.most_drawn]]
     places = list(motion.waypoints)
     begins = 0.0
     if isinstance(task, EditedPhase):
@@ -645,7 +645,7 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
         _where_reached(motion, each, place, begins)
         for each, place in zip_longest(passes, places[: len(passes)])
     ]
-    return max(playback.lasting, *(each.place.time for each in drawn)), drawn[: TIMELINE.most_drawn]
+    return max(playback.lasting, *(one.place.time for one in drawn)), drawn[: TIMELINE.most_drawn]
 
 
 def _where_reached(motion: Trajectory, each: Pass, place: WaypointResult | None, begins: float) -> DrawnPass:

@@ -238,9 +238,9 @@ def number_labels() -> dict[str, str]:
     """Return the labels of the numbers that obstacles have, with their units, by attribute."""
     labels: dict[str, str] = {}
     for kind in obstacles.new_obstacle_kinds():
-        for each in number_fields(OBSTACLE_TYPES[kind]):
-            words = each.name.replace("_", " ").capitalize()
-            labels.setdefault(each.name, f"{words} [{each.metadata.get('unit', 'mm')}]")
+        for field in number_fields(OBSTACLE_TYPES[kind]):
+            words = field.name.replace("_", " ").capitalize()
+            labels.setdefault(field.name, f"{words} [{field.metadata.get('unit', 'mm')}]")
     return labels
 
 
@@ -419,10 +419,10 @@ class Obstacles:
 
 def _same_rotation(obstacle: Obstacle, wxyz: Array, rotation: Array) -> bool:
     """Return whether axes are turned as an obstacle is, apart from turns about its axis of symmetry."""
-    own = _matrix(wxyz)
+    axes = _matrix(wxyz)
     if obstacle.symmetry == "axis":
-        return bool(np.allclose(own[:, 2], rotation[:, 2], atol=1e-5))
-    return bool(np.allclose(own, rotation, atol=1e-7))
+        return bool(np.allclose(axes[:, 2], rotation[:, 2], atol=1e-5))
+    return bool(np.allclose(axes, rotation, atol=1e-7))
 
 
 def _matrix(wxyz: Array) -> Array:
@@ -451,32 +451,36 @@ class ClearanceLine:
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
-        found = session.nearest
-        if found is self._shown:
+        nearest = session.nearest
+        if nearest is self._shown:
             return
-        self._shown = found
-        visible = found is not None and found.distance < self._max_length
-        if found is not None and visible:
-            places = np.array([found.on_arm, found.on_other])
+        self._shown = nearest
+        visible = nearest is not None and nearest.distance < self._max_length
+        if nearest is not None and visible:
+            places = np.array([nearest.on_arm, nearest.on_other])
             self._line.points = places[None].astype(np.float32)
-            shade = color(CLEARANCE_COLORS[found.level])
+            shade = color(CLEARANCE_COLORS[nearest.level])
             self._line.colors = np.array([[shade, shade]], dtype=np.uint8)
-            for ball, place in zip(self._ends, places, strict=True):
-                ball.position = place
+            for ball, end in zip(self._ends, places, strict=True):
+                ball.position = end
                 ball.color = shade
         for node in (self._line, *self._ends):
             put(node, visible=visible)
 
 
-def clearance_text(found: NearestObstacle | None) -> str:
+def clearance_text(nearest: NearestObstacle | None) -> str:
     """Return a clearance in words."""
-    if found is None:
+    if nearest is None:
         return "there are no obstacles or scans"
-    size = length_text(abs(found.distance))
-    if found.distance < 0.0:
-        return f"{found.body} is {size} inside {found.other}"
-    less = f", less than the margin of {length_text(found.margin)}" if found.distance < found.margin else ""
-    return f"{size} from {found.body} to {found.other}{less}"
+    size = length_text(abs(nearest.distance))
+    if nearest.distance < 0.0:
+        return f"{nearest.body} is {size} inside {nearest.other}"
+    less = (
+        f", less than the margin of {length_text(nearest.margin)}"
+        if nearest.distance < nearest.margin
+        else ""
+    )
+    return f"{size} from {nearest.body} to {nearest.other}{less}"
 
 
 class SceneTab:
@@ -565,8 +569,8 @@ class SceneTab:
                 _set_arm_radius,
                 unit=MILLIMETRE,
             )
-        for each in (outliers, margin, thickness):
-            each.precision = finer
+        for number in (outliers, margin, thickness):
+            number.precision = finer
         with gui.add_folder("Meshes and scans", expand_by_default=False):
             self._scans = ScanControls(server, scans, post)
         on_choice(add, lambda label: post(partial(obstacles.add_obstacle, kinds[label], self._points)))
@@ -580,18 +584,18 @@ class SceneTab:
         if tuple(self._chosen.control.options) != names:
             self._chosen.control.options = names
         self._chosen.show(session)
-        own = (self._called, *self._values.values(), self._outliers)
+        fields_shown = (self._called, *self._values.values(), self._outliers)
         name = _selected(session) or ""
         if name != self._name:
-            for field in own:
+            for field in fields_shown:
                 field.finish()  # it was meant for the one before
             self._name = name
-        for field in (*own, self._margin, self._self_collision, self._arm_radius):
+        for field in (*fields_shown, self._margin, self._self_collision, self._arm_radius):
             field.show(session)
         put(self._delete, visible=bool(name))
-        found = session.nearest
-        shade = THEME.quiet if found is None else CLEARANCE_COLORS[found.level]
-        text = escape(clearance_text(found))
+        nearest = session.nearest
+        shade = THEME.quiet if nearest is None else CLEARANCE_COLORS[nearest.level]
+        text = escape(clearance_text(nearest))
         put(self._about, content=framed_html("clearance", shade, "Clearance of the arm now", text))
         self._scans.show(session)
 

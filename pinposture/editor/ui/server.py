@@ -134,8 +134,8 @@ class Entrance:
             return "the call is not addressed to this machine"
         if len(origins) > 1 or (origins and not _same_host(origins[0], hosts[0])):
             return "the call comes from another web page"
-        given = path.partition("?")[0].removeprefix("/").partition("/")[0]
-        if not hmac.compare_digest(given.encode(), self.secret.encode()):
+        secret = path.partition("?")[0].removeprefix("/").partition("/")[0]
+        if not hmac.compare_digest(secret.encode(), self.secret.encode()):
             return "the address is not the whole one that was printed at the start"
         return ""
 
@@ -220,9 +220,9 @@ def _guarded_servers(
     added = head if channel is None else head + channel.head
     numbers = itertools.count(1)
 
-    def guarding(handler: Any, *given: Any, process_request: Any = None, **named: Any) -> Any:
+    def guarding(handler: Any, *arguments: Any, process_request: Any = None, **named: Any) -> Any:
         if getattr(process_request, "__module__", "") != "viser.infra._infra":  # from another thread
-            return plain(handler, *given, process_request=process_request, **named)
+            return plain(handler, *arguments, process_request=process_request, **named)
         guarded.append(entrance)
 
         async def handle(connection: ServerConnection) -> None:
@@ -250,7 +250,7 @@ def _guarded_servers(
                 _add_to_head(response, added)
             return response
 
-        return plain(handle, *given, process_request=process, **named)
+        return plain(handle, *arguments, process_request=process, **named)
 
     with _patching:
         websockets.asyncio.server.serve = guarding  # type: ignore[assignment, misc]
@@ -285,8 +285,8 @@ def _add_to_head(response: Response, added: str) -> None:
 
 def _same_host(origin: str, host: str) -> bool:
     """Return whether a page came from a host, port included."""
-    scheme, _, place = origin.partition("://")
-    return scheme in ("http", "https") and place.lower() == host.lower()
+    scheme, _, address = origin.partition("://")
+    return scheme in ("http", "https") and address.lower() == host.lower()
 
 
 def _check_address(host: str, port: int) -> None:
