@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import LARGEST_COORDINATE, is_whole
+from pinposture._validation import LARGEST_COORDINATE, is_whole, require_instance
 from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits
 from pinposture.errors import ControllerError, InvalidValue, PostureError
@@ -166,10 +166,8 @@ class Controller(Protocol):
 
 def require_step_arguments(state: ArmState, target: Target, memory: object = None) -> None:
     """Raise InvalidValue if an argument of a step has the wrong type, or the target does not fit the arm."""
-    if not isinstance(state, ArmState):
-        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
+    require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     check_numbers(target, state.arm)
     if memory is None:
         return

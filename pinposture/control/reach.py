@@ -26,13 +26,14 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
 from pinposture.control.planner.avoidance import solve
-from pinposture.control.planner.damped_least_squares import DESCENT, Rating, damped_hessian, descend
+from pinposture.control.planner.damped_least_squares import Rating, damped_hessian, descend
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.control.torque_limits import TorqueLimits
 from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, raise_together
 from pinposture.placement import Target
+from pinposture.placement.points import POSTURE_SEARCH
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -457,7 +458,7 @@ class _TipFit:
         mean = float((matrix**2).sum()) / len(lower) + 1e-12 * search.arm.length**2
         # Full damping from a tenth of the arm length on; nearer, it falls with the squared errors.
         far = min(1.0, rows.cost / search.arm.length**2 * 1e2)
-        weight = (1e-2 * damping * far + DESCENT.least_damping) * mean
+        weight = (1e-2 * damping * far + POSTURE_SEARCH.least_damping) * mean
         # There are fewer rows than joints. Within the box, their solution is that of the quadratic program.
         x = matrix.T @ np.linalg.solve(damped_hessian(matrix.T, weight), rows.errors)
         if np.any((x < lower) | (x > upper)):

@@ -47,7 +47,7 @@ IN_MILLIMETRES = "if it is in millimetres, load it with scale=0.001"
 class Target:
     """Target positions of the control points, and their origin.
 
-    Its arrays are copies of those given, or these themselves where they are read-only.
+    Its arrays are copies of those given, or these themselves where nobody can write to them.
 
     Attributes:
         points: target positions, (m, 3) [m], world frame.
@@ -91,8 +91,9 @@ class Target:
             if value is None:
                 continue
             if type(value) is np.ndarray and value.dtype == np.float64:
-                flags = value.flags
-                if flags.c_contiguous and not flags.writeable:  # as in each cycle of a motion
+                source = value if value.base is None else value.base
+                fixed = type(source) is np.ndarray and not (source.flags.writeable or value.flags.writeable)
+                if fixed and value.flags.c_contiguous:  # as in each cycle of a motion
                     continue
             array = as_floats(f"target.{name}", value)
             array.flags.writeable = False

@@ -230,11 +230,11 @@ class ReferencePath:
         arm = self.reference.arm
         row = min(int(np.ceil(s)), len(self.times) - 1)
         offset = np.minimum(np.maximum(self.path.smooth_offset(s), self._lower), self._upper)
-        points = arm.kinematics.points(self._start + offset[None])[0]
+        points = arm.kinematics.points(self._start + offset[None])
         q = arm.integrate(self.reference.start, offset)
         points.flags.writeable = False
         q.flags.writeable = False
-        return known_target(arm, Target(points, self._weights[row], q))
+        return known_target(arm, Target(points[0], self._weights[row], q))
 
     def remaining(self, s: float, controller: Geodesic) -> TimedPath:
         """Return the rest of the path from s, which is a whole row."""

@@ -352,3 +352,14 @@ def test_modules_that_cannot_be_placed_stay_within_limits_that_exclude_zero() ->
     found = pp.resolve_targets(arm, curve, placement="align", method="sequential", incomplete="partial")
     assert found.incomplete
     assert arm.within_limits(found.q)
+
+
+def test_a_target_keeps_its_points_whatever_is_written_to_the_array_behind_them() -> None:
+    points = np.zeros((3, 3))
+    seen = points.view()
+    seen.flags.writeable = False
+    target = pp.Target(seen, np.ones(3))
+    points[:] = 1.0
+    assert not target.points.any()
+    assert not target.points.flags.writeable
+    assert pp.Target(target.points, target.weights).points is target.points  # nobody can write to these

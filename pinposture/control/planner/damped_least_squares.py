@@ -13,44 +13,19 @@ from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solu
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH
 from pinposture.kernels.arrays import PostureProblem
-from pinposture.placement.points import minimise_posture_errors
+from pinposture.placement.points import POSTURE_SEARCH, minimise_posture_errors
 
 Array = NDArray[np.float64]
 
 
 class DescentSettings(NamedTuple):
-    """How damped least squares go down, for a step and for a search of many."""
-
-    least_damping: float = 1e-10
-    """Damping that remains at the target, relative to the mean diagonal of A^T A, for positive
-    definiteness."""
-
-    damping_share: float = 0.5
-    """Damping relative to the sum of squared errors (Sugihara 2011)."""
-
-    decrease: float = 0.3
-    """Change of the damping factor after a step that reduced the cost."""
-
-    increase: float = 4.0
-    """Change of the damping factor after a step that did not."""
-
-    least_factor: float = 1e-6
-    """Smallest damping factor."""
-
-    most_factor: float = 1e9
-    """Largest damping factor; a search ends there."""
+    """What damped least squares need here; `placement.points.POSTURE_SEARCH` says how they are damped."""
 
     search_step: float = 0.2
     """Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
 
     search_steps: int = 120
     """Largest number of iterations of a search."""
-
-    converged: float = 1e-6
-    """Relative decrease of the cost that counts as none."""
-
-    idle_steps: int = 3
-    """How often in a row the cost may fail to decrease before a search ends."""
 
     quick_steps: int = 6
     """Largest number of steps of a search for a nearby posture."""
@@ -166,13 +141,14 @@ def reduce_errors(objective: Objective, constraints: StepConstraints, damping: f
     if not objective.tasks:
         solver = ChainSolver(objective, constraints.state)
         errors, squares = objective.point_errors(constraints.state)
-        least = DESCENT.least_damping * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
-        weight = damping * DESCENT.damping_share * scale**2 * squares + least
+        least = POSTURE_SEARCH.least_damping * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
+        weight = damping * POSTURE_SEARCH.damping_share * scale**2 * squares + least
         return solve_posture(solver, scale * errors, weight, np.zeros(len(constraints.lower)), constraints)
     rows = objective.rows(constraints.state)
     errors = scale * rows.errors
-    least = DESCENT.least_damping * mean_diagonal(objective, rows.matrix)
-    hessian = damped_hessian(rows.matrix, damping * DESCENT.damping_share * float(errors @ errors) + least)
+    least = POSTURE_SEARCH.least_damping * mean_diagonal(objective, rows.matrix)
+    varied = damping * POSTURE_SEARCH.damping_share * float(errors @ errors)
+    hessian = damped_hessian(rows.matrix, varied + least)
     tasks = objective.task_rows(constraints.state, priority=True)
     first = None
     if tasks is not None:
@@ -377,14 +353,15 @@ def descend(problem: LeastSquaresProblem, state: ChainState, steps: int) -> tupl
         tried_rating = None if tried is None else problem.rate(tried)
         if tried is not None and tried_rating is not None and tried_rating < rating:
             closer = tried_rating.violation < rating.violation
-            idle = 0 if closer or tried_rating.cost <= (1.0 - DESCENT.converged) * rating.cost else idle + 1
+            cheaper = tried_rating.cost <= (1.0 - POSTURE_SEARCH.converged) * rating.cost
+            idle = 0 if closer or cheaper else idle + 1
             state = tried
             rating = tried_rating
-            damping = max(damping * DESCENT.decrease, DESCENT.least_factor)
+            damping = max(damping * POSTURE_SEARCH.decrease, POSTURE_SEARCH.least_factor)
         else:
-            damping *= DESCENT.increase
-            idle += damping > DESCENT.most_factor
-        if idle >= DESCENT.idle_steps:
+            damping *= POSTURE_SEARCH.increase
+            idle += damping > POSTURE_SEARCH.most_factor
+        if idle >= POSTURE_SEARCH.idle:
             break
     return state, rating
 

@@ -44,7 +44,7 @@ from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
-from pinposture.placement.points import POINT_FIT
+from pinposture.placement.points import POINT_FIT, POSTURE_SEARCH
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -1024,11 +1024,13 @@ def reduce_remaining(progress: PathProgress, constraints: StepConstraints) -> Ca
         x = None if solution.x is None else correct_curvature(objective, constraints, solution.x)
         if (
             x is not None
-            and objective.cost(objective.state_after(state, x)) < (1.0 - DESCENT.converged) * cost
+            and objective.cost(objective.state_after(state, x)) < (1.0 - POSTURE_SEARCH.converged) * cost
         ):
-            less_damped = progress._replace(damping=max(damping * DESCENT.decrease, DESCENT.least_factor))
+            less_damped = progress._replace(
+                damping=max(damping * POSTURE_SEARCH.decrease, POSTURE_SEARCH.least_factor)
+            )
             return CandidateStep(objective.displacement(x), less_damped, solution)
-        damping *= DESCENT.increase
+        damping *= POSTURE_SEARCH.increase
     rest = np.clip(
         np.zeros(len(constraints.lower)), constraints.lower, constraints.upper
     )  # the arm may have to brake

@@ -312,7 +312,7 @@ class PathSearch:
         while perf_counter() < self.until:
             trapped = [end for end, is_trapped in zip(ends, self._trapped, strict=True) if is_trapped]
             moved = any([end.go_on(WITHDRAWING.join_every) for end in trapped])
-            if not moved and not any([each.go_on(WITHDRAWING.join_every) for each in ends]):
+            if not moved and not any([end.go_on(WITHDRAWING.join_every) for end in ends]):
                 if nodes == TREES.nodes:
                     break
                 nodes = TREES.nodes  # neither end can withdraw further: search longer
@@ -494,12 +494,12 @@ class _Withdrawal:
         """
         search = self._search
         arm = search.arm
-        positions = self._lengths[1:] - depth
-        weights = (positions >= self._near).astype(np.float64)
+        s = self._lengths[1:] - depth
+        weights = (s >= self._near).astype(np.float64)
         if not weights.any():
             self._over = True
             return False
-        points = np.column_stack([np.interp(positions, self._lengths, axis) for axis in self._curve.T])
+        points = np.column_stack([np.interp(s, self._lengths, axis) for axis in self._curve.T])
         target = Target.from_points(arm, points, weights)
         objective = Objective(arm, target, constraints=search.problem.objective.constraints)
         good = WITHDRAWING.most_error * arm.length
