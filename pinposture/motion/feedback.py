@@ -449,7 +449,7 @@ class Feedback:
             change = self.state.chain_state.points - arm.chain_at(beyond).points
         q = None if shifts else q_compensated
         velocity = None if q is None else target.velocity
-        return Target(target.points + change - shift, target.weights, q, velocity=velocity)
+        return Target(target.points + change - shift, target.weights, q, velocity=velocity, led=target.led)
 
     def _points_at(self, target: Target, q: Array) -> Array:
         """Return the control points at the configuration q of a target, (m, 3) [m]; once for each target."""

@@ -39,6 +39,10 @@ class LeaderSettings(NamedTuple):
     """Bend of each joint, in `Arm.joint_units`, from which a posture is sought where there is none from the
     present one: a straight arm cannot tell to which side it is to bend."""
 
+    room: float = 0.002
+    """Distance beyond the margin that a tip keeps which is moved along straight lines, in arm lengths: where
+    it turns aside at once, the arm cannot. One of 6 modules came 0.0015 closer than what led it."""
+
     rejoined: float = 1e-6
     """Distance from where a leader was at which it can go on, in `Arm.joint_units`."""
 
@@ -112,11 +116,7 @@ class SteeredTip:
         )
         self._steering = Steering(arm, limits, start=arm.configuration(positions))
         self._idle = ""
-        self.acceleration = speed / LEADERS.easing
-        most = limits.for_arm(arm).acceleration
-        if most is not None:
-            allowed = STEERING.speed_share * float(most[column]) / cycle_of(limits) ** 2
-            self.acceleration = min(self.acceleration, allowed)
+        self.acceleration = min(speed / LEADERS.easing, self._steering.acceleration)
         self._curvature = LEADERS.bend / float(arm.chain.module_lengths.max()) / speed
 
     @property
@@ -226,6 +226,7 @@ class MovedTip:
         arm = self._arm
         tip = arm.chain_at(self.q).points[-1]
         bounds = STEERING.speed_share * self._limits.for_arm(arm).bound
+        margin = scene.margin + LEADERS.room * arm.length
         shift = self._dt * (self._frame @ velocity)
         for _ in range(LEADERS.attempts):
             try:  # without obstacles: to push the arm clear of them can take several cycles
@@ -236,8 +237,7 @@ class MovedTip:
             if state is None:
                 return "no posture is found with the tip there"
             if np.all(np.abs(arm.difference(self.q, state.q)) <= bounds):
-                contact = describe_contact(CollisionModel(arm, scene), self.q, state.q)
-                return contact or state.q
+                return describe_contact(CollisionModel(arm, scene), self.q, state.q, margin) or state.q
             shift = 0.5 * shift
         return "joints would have to be faster than their velocity limits"
 

@@ -150,6 +150,7 @@ class Operation:
         self._leader: TipLeader | None = None
         self._begun = False
         self._velocity = np.zeros(3)
+        self._moved = np.zeros(3)
         self._stood: Order | None = None
         self._stood_at = -np.inf
         self._slowed: Limits | None = None
@@ -284,7 +285,7 @@ class Operation:
             if away:
                 return away
         velocity = np.zeros(3) if order is None else self._speed * order.override * order.direction
-        waits = self._reason_to_wait(tracker.report)
+        waits = self._reason_to_wait(tracker.report, velocity @ self._moved < 0.0)
         if order is not None and waits:
             velocity = np.zeros(3)
         if order is not None and not waits and self._still_stands(order):
@@ -296,6 +297,7 @@ class Operation:
         tracker.update(leader.move(self._velocity, scene))
         if leader.q is not before:
             self._led = leader.q
+            self._moved = self._velocity
             self.ways.lead(self.arm, before, self._led, not leader.withdraws)
             self._way_in.add(self._led)
         self._mode = "waits" if waits else "runs"
@@ -335,7 +337,7 @@ class Operation:
         if order is not None and rate > 0.0 and order.way != self.ways.planned.number:
             rate = 0.0
             released = "another way is planned by now: release, look, and hold again"
-        waits = self._reason_to_wait(tracker.report)
+        waits = self._reason_to_wait(tracker.report, rate * self.ways.driven < 0.0)
         target = self.ways.drive(0.0 if waits else rate, scene)
         way = self.ways.way
         if target is None or way is None:
@@ -343,7 +345,7 @@ class Operation:
         tracker.update(target)
         self._led = way.q
         self._way_in.add(way.q)
-        self._mode = "waits" if waits else "stands" if way.reason else "runs"
+        self._mode = "waits" if waits else "stands" if way.reason and not way.rate else "runs"
         self._reason = waits or way.reason or "; ".join(tracker.report.violated_constraints)
         return ""
 
@@ -406,10 +408,14 @@ class Operation:
             return False
         return bool(np.array_equal(stood.direction, order.direction))
 
-    def _reason_to_wait(self, report: Report) -> str:
-        """Return why the tip is not led on: the arm does not follow; empty if it does."""
+    def _reason_to_wait(self, report: Report, returns: bool) -> str:
+        """Return why the tip is not led on: the arm does not follow; empty if it does, or the tip returns."""
         if report.status in ("holding", "evading") and report.reason:
             return report.reason if self._mode != "holds" else ""  # what it held for is over
+        if returns:
+            return ""
+        if report.step is not None and report.step.reason:
+            return report.step.reason
         behind = report.mean_error or 0.0
         if behind <= OPERATION.behind * self.arm.length:
             return ""

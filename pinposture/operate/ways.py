@@ -21,7 +21,7 @@ from pinposture.placement import Target
 from pinposture.task import Leader, Task
 from pinposture.task.phases import is_phased
 from pinposture.task.retreat import WayIn, can_retreat, nearest_posture
-from pinposture.task.steering import describe_contact, moving_target
+from pinposture.task.steering import describe_contact, margin_back, moving_target
 from pinposture.task.wrap import path_through, rows_in_time
 
 Array = NDArray[np.float64]
@@ -112,20 +112,30 @@ class PlannedWay:
             The target of this cycle, with its velocity.
         """
         before = self.q
-        self.rate += float(np.clip(rate - self.rate, -self._ease, self._ease))
-        at = min(max(self.at + self.rate, 0.0), float(self.end))
-        q = self._configuration(at)
         if self._model is None or self._model.scene is not scene:
             self._model = CollisionModel(self.arm, scene)
-        self.reason = describe_contact(self._model, before, q)
-        if self.reason:
-            self.rate = 0.0
-            q = before
-        else:
-            self.at = at
+        faster = self.rate + float(np.clip(rate - self.rate, -self._ease, self._ease))
+        stop = 0.5 * faster * max(abs(faster) / self._ease - 1.0, 0.0)
+        self.reason = self._describe_contact(self._model, self.at + faster + stop)
+        if self.reason:  # it was known before that it can stop on the way to there
+            braked = float(np.copysign(max(abs(self.rate) - self._ease, 0.0), self.rate))
+            faster = min(faster, braked, key=abs) if faster * braked > 0.0 else 0.0
+            stopped = self._describe_contact(self._model, self.at + faster)
+            faster = 0.0 if stopped else faster
+        self.rate = faster
+        self.at = self._within(self.at + faster)
         if self.at in (0.0, float(self.end)):
             self.rate = 0.0
-        return moving_target(self.arm, before, q, self._dt)
+        return moving_target(self.arm, before, self.q, self._dt)
+
+    def _within(self, at: float) -> float:
+        """Return a time [cycles], or that of the nearer end if it is beyond."""
+        return min(max(at, 0.0), float(self.end))
+
+    def _describe_contact(self, model: CollisionModel, at: float) -> str:
+        """Return which pair comes too close if it is driven to a time [cycles]; empty if none does."""
+        margin = margin_back(model.scene) if at < self.at else model.scene.margin
+        return describe_contact(model, self.q, self._configuration(self._within(at)), margin)
 
     def _steps(self) -> Array:
         """Return the steps between its rows, (n, nv)."""
@@ -183,6 +193,7 @@ class Ways:
     Attributes:
         planned: what to show; may be read from any thread.
         way: the way that is planned, or was driven last; None: there is none.
+        driven: in which direction a way was driven last: positive on, negative back, 0 in none.
 
     Args:
         limits: the limits of the joints, with the duration of a cycle.
@@ -191,6 +202,7 @@ class Ways:
     def __init__(self, limits: Limits) -> None:
         self.planned = Planned(0, NO_PLAN, None, np.zeros((0, 3)))
         self.way: PlannedWay | None = None
+        self.driven = 0.0
         self._limits = limits
         self._driven: list[PlannedWay] = []
         self._led: WayIn | None = None
@@ -248,6 +260,7 @@ class Ways:
             return None
         self.way = way
         target = way.move(rate, scene)
+        self.driven = way.rate or self.driven
         self._show(way)
         return target
 

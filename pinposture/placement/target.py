@@ -63,6 +63,9 @@ class Target:
         incomplete: why some control points could not be placed on the curve; empty if all are. Those
             have weight 0, and their `points` continue straight from the last placed one.
         velocity: joint velocities at `q` if the target moves, (nv,) [rad/s or m/s]; None if unknown.
+        led: whether the target leads the arm along a way that it must not leave, as an operator's does.
+            "geodesic" then takes each step towards it as far as that is clear, or brakes; it never goes
+            round, nor gives way.
         placed_by: what placed each control point on the curve, (m,): the kinematics of its module,
             "Torus", "Circle", "RollPitch", "NumericModule" or a custom class; or "least squares" over the
             whole arm. Empty without a curve.
@@ -84,6 +87,7 @@ class Target:
     velocity: Array | None = None
     placed_by: tuple[str, ...] = ()
     fallback: str = ""
+    led: bool = False
 
     def __post_init__(self) -> None:
         for name in ("points", "weights", "q", "parameters", "residual", "velocity"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Limits
-from pinposture.control.limits import cycle_of
+from pinposture.control.limits import cycle_of, farthest
+from pinposture.control.planner.geodesic import GEODESIC
 from pinposture.curve import Curve
 from pinposture.errors import TargetError, raise_together
 from pinposture.placement.target import Target, target_at
@@ -224,9 +226,10 @@ class Steering:
     path from the tip on.
 
     A step is as long as speed and velocity limits allow. If joint limits, or the margin to obstacles, do not
-    allow the curvature, the arm bends less; if they allow no step, it stands. `reason` says why. "Up" is
-    opposite to gravity, at right angles to the arm at the entry; if the arm is vertical there, it is along x
-    of the world. From there both directions turn with the path, but not about it.
+    allow the curvature, the arm bends less; if they allow no step, it stands. `reason` says why. With a limit
+    of acceleration, it slows down before, so that the feed can stop there. "Up" is opposite to gravity, at
+    right angles to the arm at the entry; if the arm is vertical there, it is along x of the world. From there
+    both directions turn with the path, but not about it.
 
     Attributes:
         arm: the arm.
@@ -263,6 +266,7 @@ class Steering:
         self._asked = AHEAD
         self._eased = 0
         self._refused = ""
+        self._moved = 0.0
 
     @property
     def q(self) -> Array:
@@ -273,6 +277,14 @@ class Steering:
     def depth(self) -> float:
         """How far the feed has moved from the start [m]."""
         return self._posture.depth
+
+    @property
+    def acceleration(self) -> float:
+        """How fast the speed of the feed may change so that a tracker follows [m/s^2]; may be infinite."""
+        most = self.limits.for_arm(self.arm).acceleration
+        if most is None:
+            return inf
+        return STEERING.speed_share * float(most[self._fed.column]) / self._dt**2
 
     @property
     def frame(self) -> Array:
@@ -312,36 +324,67 @@ class Steering:
         speed = as_number("speed", speed, "a finite number [m/s]", lambda _: True)
         checked = None if curvature is None else finite_vector("curvature", curvature, 2)
         self.reason = ""
-        before = self.q
+        before = self._posture
         distance = speed * self._dt
-        path = self._posture.path
-        if distance > 0.0 and checked is not None:
-            self._lay(distance, checked)
-        elif distance != 0.0:
-            missing = self._posture.placement.tip + 2.0 * distance - path.end
-            step = self._move(distance, path if missing <= 0.0 else path.extended(path.end, missing, AHEAD))
-            if isinstance(step, str):
-                self.reason = f"stands: {step}"
-            else:
-                self._posture = step
-                self.reason = step.reason
-        return moving_target(self.arm, before, self.q, self._dt)
+        if distance != 0.0:
+            self._go(distance, checked)
+        self._moved = self.depth - before.depth
+        return moving_target(self.arm, before.q, self.q, self._dt)
 
-    def _lay(self, distance: float, curvature: Array) -> None:
-        """Lay a path from the tip on, and move along it by a distance [m], or less."""
+    def _go(self, distance: float, curvature: Array | None) -> None:
+        """Move on by a distance [m], or less, and say why if it is less."""
+        step = self._step(distance, curvature, True)
+        if isinstance(step, str):
+            self.reason = f"stands: {step}"
+            # The feed cannot stop at once: it goes on, slower, to where it was known before that it can stop.
+            slower = float(np.copysign(abs(self._moved) - self._brake, distance))
+            if self._moved * distance <= 0.0 or slower * distance <= 0.0:
+                return
+            why = step
+            step = self._step(min(distance, slower, key=abs), curvature, False)
+            if isinstance(step, str):
+                return
+            step = step._replace(reason=f"slower: {why}")
+        self._posture = step
+        self.reason = step.reason
+
+    @property
+    def _brake(self) -> float:
+        """How much less the feed may move than in the cycle before [m]."""
+        return self.acceleration * self._dt**2
+
+    def _step(self, distance: float, curvature: Array | None, foresees: bool) -> _Posture | str:
+        """Return the posture after a distance [m], or less, or why there is none.
+
+        Args:
+            distance: how far the feed is to move [m].
+            curvature: curvature of the path that the tip lays, (2,) [1/m]; None: along the present one.
+            foresees: whether the feed has to be able to stop ahead.
+        """
+        if distance > 0.0 and curvature is not None:
+            return self._lay(distance, curvature, foresees)
+        path = self._posture.path
+        missing = self._posture.placement.tip + 2.0 * distance + self._stop(distance) - path.end
+        path = path if missing <= 0.0 else path.extended(path.end, missing, AHEAD)
+        return self._move(distance, path, foresees)
+
+    def _stop(self, distance: float) -> float:
+        """Return how far the feed moves until it stops after it moved by a distance, signed [m]."""
+        return 0.5 * distance * max(abs(distance) / self._brake - 1.0, 0.0)
+
+    def _lay(self, distance: float, curvature: Array, foresees: bool) -> _Posture | str:
+        """Return the posture after a distance [m], or less, along a path that is laid from the tip on."""
         shares = STEERING.eased if np.any(curvature) else (1.0,)
         first = self._first_share(curvature)
         for index in range(first, len(shares)):
-            step = self._move_on_arc(distance, shares[index] * curvature)
+            step = self._move_on_arc(distance, shares[index] * curvature, foresees)
             if not isinstance(step, str):
                 self._eased = index
-                self._posture = step
-                self.reason = f"bends less: {self._refused}" if index else step.reason
-                return
+                return step._replace(reason=f"bends less: {self._refused}") if index else step
             if index == 0:  # what is said is why not all of the curvature is possible
                 self._refused = step
         self._eased = len(shares) - 1
-        self.reason = f"stands: {self._refused}"
+        return self._refused
 
     def _first_share(self, curvature: Array) -> int:
         """Return which of `STEERING.eased` to try first.
@@ -356,7 +399,7 @@ class Steering:
             self._eased = 0
         return max(self._eased - 1, 0)
 
-    def _move_on_arc(self, distance: float, curvature: Array) -> _Posture | str:
+    def _move_on_arc(self, distance: float, curvature: Array, foresees: bool) -> _Posture | str:
         """Return the posture after a distance [m] along an arc from the tip on, or why there is none."""
         laid = self._posture.path
         tip = self._posture.placement.tip
@@ -366,19 +409,25 @@ class Steering:
             tried = self._place(min(self.depth + ahead, self._deepest(arc)), arc)
             if isinstance(tried, str):
                 return f"the arm cannot follow a curvature of {np.linalg.norm(curvature):.3g} 1/m"
-        return self._move(distance, laid.extended(tip, 2.0 * distance, curvature))
+        length = 2.0 * distance + self._stop(distance)
+        return self._move(distance, laid.extended(tip, length, curvature), foresees)
 
-    def _move(self, distance: float, path: LaidPath) -> _Posture | str:
+    def _move(self, distance: float, path: LaidPath, foresees: bool) -> _Posture | str:
         """Return the posture after the feed has moved, or why there is none.
 
         Args:
             distance: how far the feed is to move [m]; it may move less.
             path: the path ahead of the arm, and on which it lies.
+            foresees: whether it has to be able to stop ahead.
         """
         most = self._deepest(path)
-        asked = min(max(self.depth + distance, 0.0), most)
-        if (asked - self.depth) * distance <= 0.0:
+        room = most - self.depth if distance > 0.0 else -self.depth
+        if room * distance <= 0.0:
             return self._describe_end(distance, most)
+        asked = self.depth + min(distance, room, key=abs)
+        if foresees and self._brake < inf:
+            stoppable = float(farthest(np.array([room]), np.array([self._brake]))[0])
+            asked = self.depth + min(distance, stoppable, key=abs)
         depth = asked
         for _ in range(STEERING.attempts):  # joints do not move quite in proportion to the feed
             placed = self._place(depth, path)
@@ -393,15 +442,29 @@ class Steering:
         name = self.arm.joint_names[joint]
         if share > 1.0 + ROUNDING:
             return f"joint {name!r} would have to be faster than its velocity limit"
-        blocked = self._describe_contact(q)
+        withdraws = distance < 0.0
+        blocked = self._describe_contact(q, withdraws)
+        if foresees and not blocked:
+            blocked = self._foresee(depth, path, withdraws)
         if blocked:
             return blocked
         reason = ""
         if depth != asked:
             reason = f"slower: joint {name!r} is at its velocity limit"
         elif asked != self.depth + distance:
-            reason = f"stands: {self._describe_end(distance, most)}"
+            how = "stands" if asked == self.depth + room else "slower"
+            reason = f"{how}: {self._describe_end(distance, most)}"
         return _Posture(placement, path, depth, q, reason)
+
+    def _foresee(self, depth: float, path: LaidPath, withdraws: bool) -> str:
+        """Return what is in the way until the feed stops after a move to a depth [m]; empty if nothing is."""
+        stop = self._stop(depth - self.depth)
+        if stop == 0.0 or self.scene is None:
+            return ""
+        placed = self._place(min(max(depth + stop, 0.0), self._deepest(path)), path)
+        if isinstance(placed, str):
+            return placed
+        return self._describe_contact(self._configuration(placed), withdraws)
 
     def _deepest(self, path: LaidPath) -> float:
         """Return the largest depth on a path [m]: the travel, or where the feed leaves the path."""
@@ -436,14 +499,15 @@ class Steering:
         joint = int(shares.argmax())
         return joint, float(shares[joint])
 
-    def _describe_contact(self, q: Array) -> str:
-        """Return which pair comes too close in a step to q; empty if none does."""
+    def _describe_contact(self, q: Array, withdraws: bool) -> str:
+        """Return which pair comes too close in a step to q, ahead or back; empty if none does."""
         scene = self.scene
         if scene is None:
             return ""
         if self._model is None or self._model.scene is not scene:
             self._model = CollisionModel(self.arm, scene)
-        return describe_contact(self._model, self.q, q)
+        margin = margin_back(scene) if withdraws else scene.margin
+        return describe_contact(self._model, self.q, q, margin)
 
     def _describe_end(self, distance: float, most: float) -> str:
         """Return why the feed cannot move on."""
@@ -464,9 +528,16 @@ def _through(s: Array, points: Array, tangents: Array) -> Curve:
     return Curve(knots, coefficients, 3)
 
 
-def describe_contact(model: CollisionModel, before: Array, q: Array) -> str:
-    """Return which pair comes too close in a step between configurations (nq,); empty if none does."""
-    margin = model.scene.margin
+def margin_back(scene: Scene) -> float:
+    """Return the margin of an arm that withdraws the way it came [m], as of one that is led.
+
+    A map may have grown beside it, and where it could go neither on nor back, it would be caught.
+    """
+    return GEODESIC.led_margin * scene.margin
+
+
+def describe_contact(model: CollisionModel, before: Array, q: Array, margin: float) -> str:
+    """Return which pair comes closer than a margin [m] in a step to q, (nq,); empty if none does."""
     closest = model.minimum(q)
     if closest.pair is None or closest.distance >= margin:
         return ""
@@ -476,9 +547,9 @@ def describe_contact(model: CollisionModel, before: Array, q: Array) -> str:
 
 
 def moving_target(arm: Arm, before: Array, q: Array, dt: float) -> Target:
-    """Return the target of a cycle of a duration [s], in which an arm moves on to a configuration (nq,)."""
+    """Return the target of a cycle of a duration [s], in which an arm is led on to a configuration (nq,)."""
     velocity = arm.difference(before, q) / dt
-    return replace(target_at(arm.chain_at(q), np.ones(arm.n_modules)), velocity=velocity)
+    return replace(target_at(arm.chain_at(q), np.ones(arm.n_modules)), velocity=velocity, led=True)
 
 
 def entry_frame(axis: Array, gravity: Array) -> Array:

@@ -164,9 +164,17 @@ def test_an_arm_without_a_feed_goes_where_it_still_can_and_says_why() -> None:
     wall = pp.Box(tuple(bent.tip + [0.03, 0.056, 0.0]), (0.1, 0.04, 0.4))
     bent.scene = pp.Scene({"wall": wall}, margin=0.005)
     begin = bent.tip
-    bent.run(1.6, lambda: bent.hold((0.0, 1.0, 1.0)))
-    assert bent.operation.shown.reason.startswith("moves in one direction only")
-    assert pp.CollisionModel(arm, bent.scene).minimum(bent.q).distance >= 0.005 * (1.0 - 1e-6)
+    reasons = set()
+    near = []
+
+    def push() -> None:
+        bent.hold((0.0, 1.0, 1.0))
+        reasons.add(bent.operation.shown.reason.split(":")[0])
+        near.append(pp.CollisionModel(arm, bent.scene).minimum(bent.q).distance)
+
+    bent.run(1.6, push)
+    assert "moves in one direction only" in reasons
+    assert min(near) >= 0.005 * (1.0 - 1e-6)
     assert bent.tip[2] - begin[2] > 0.01
 
 
@@ -200,3 +208,52 @@ def test_the_tip_waits_for_an_arm_that_is_stuck_and_says_so() -> None:
     assert away is not None and away.q is not None
     assert desk.operation.shown.mode == "waits"
     assert away.q[0] < 0.05
+
+
+HOLE = 0.05
+"""Half of the width of a hole that the arm finds [m]."""
+
+
+def hole_at(middle: np.ndarray, margin: float) -> pp.Scene:
+    """Return a wall across x with a square hole about a point, (3,) [m]."""
+    x, y, z = middle
+    far = 0.5
+    walls = {
+        "left": pp.Box((x, y + HOLE + far, z), (0.01, 2 * far, 4 * far)),
+        "right": pp.Box((x, y - HOLE - far, z), (0.01, 2 * far, 4 * far)),
+        "top": pp.Box((x, y, z + HOLE + far), (0.01, 2 * HOLE, 2 * far)),
+        "bottom": pp.Box((x, y, z - HOLE - far), (0.01, 2 * HOLE, 2 * far)),
+    }
+    return pp.Scene(walls, margin=margin, self_collision=False)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("margin", [0.03, 0.045])
+def test_an_arm_never_leaves_what_leads_it_whatever_is_found_around_it(margin: float) -> None:
+    desk = Desk(fed_arm(12))
+    desk.run(2.0, lambda: desk.hold((1.0, 0.0, 0.0)))
+    desk.run(3.0, lambda: desk.hold((1.0, 1.0, 1.0)))
+    # What was free turns out to be a wall with a hole, in which the arm is within its margin.
+    desk.scene = hole_at(desk.arm.at(desk.q).points[8] + [0.0, HOLE - 0.04, 0.0], margin)
+    away: list[float] = []
+
+    def watch(direction: Sequence[float]) -> None:
+        desk.hold(direction)
+        led = desk.operation.shown.led
+        assert led is not None
+        apart = desk.arm.at(desk.q).points - desk.arm.at(led).points
+        away.append(float(np.linalg.norm(apart, axis=1).max()))
+
+    for direction in (
+        (1.0, -1.0, -1.0),
+        (1.0, 1.0, 0.0),
+        (1.0, -1.0, 1.0),
+        (-1.0, 0.0, 0.0),
+        (1.0, 0.0, -1.0),
+    ):
+        desk.run(1.4, lambda direction=direction: watch(direction))
+    assert max(away) < 0.01 * desk.arm.length
+    gap = pp.CollisionModel(desk.arm, desk.scene).minimum(desk.q).distance
+    assert gap > 0.0
+    desk.run(8.0, lambda: desk.hold((-1.0, 0.0, 0.0)))
+    assert desk.q[0] < 0.05  # and it comes out again

@@ -266,3 +266,30 @@ def test_what_cannot_be_steered_is_refused(make, words):
 def test_a_path_that_was_not_laid_is_none():
     with pytest.raises(PostureError):
         _ = pp.Steering(fed(), LIMITS).path
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("way", ["end of the feed", "wall", "entry"])
+def test_it_slows_down_so_that_the_feed_can_stop(way: str):
+    arm = fed()
+    most = 0.2  # [m/s^2]
+    limits = pp.Limits(dt=0.02, acceleration=most)
+    wall = pp.Box((arm.length + 0.2, 0.0, 0.0), (0.02, 1.0, 1.0))
+    scene = pp.Scene({"wall": wall} if way == "wall" else {}, margin=0.01)
+    steering = pp.Steering(arm, limits, scene)
+    depths = [0.0]
+    speed = 0.0
+    for cycle in range(1000):
+        back = way == "entry" and cycle > 100
+        speed = min(speed + 0.002, 0.15) if not back else max(speed - 0.002, -0.15)
+        steering.step(speed)
+        depths.append(steering.depth)
+    changes = np.diff(depths, 2) / limits.dt**2
+    assert np.abs(changes).max() <= most * 1.01
+    assert steering.reason.startswith("stands")
+    if way == "end of the feed":
+        assert depths[-1] == pytest.approx(0.6)
+    elif way == "entry":
+        assert depths[-1] == pytest.approx(0.0, abs=1e-12)
+    else:
+        assert pp.CollisionModel(arm, scene).minimum(steering.q).distance == pytest.approx(0.01, abs=1e-3)

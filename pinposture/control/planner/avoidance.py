@@ -356,6 +356,12 @@ class Avoidance:
         other.tolerated = max(self.violation(state) for state in states)
         return other
 
+    def within(self, share: float) -> Avoidance:
+        """Return the avoidance that keeps a share of the margin."""
+        other = copy(self)
+        other.margin = share * self.margin
+        return other
+
     def inequalities(self, state: ChainState) -> Inequalities:
         """Return the constraints at a state; the last result is cached."""
         if self._seen_inequalities is None or self._seen_inequalities[0] is not state:

@@ -582,37 +582,41 @@ def pursue(
     Let r be the distance to the goal, and g(r) the largest step after which a joint can stop in time
     (`farthest`). For a goal that moves by v in each cycle, the step is v + g(r - v). The motion v is
     `Target.velocity`, or else that of the target in the last cycle, unless it is noise or infeasible. An arm
-    that is far behind follows a path first.
+    that is far behind follows a path first, unless it is led (`Target.led`).
 
     Args:
         objective: the objective, without tasks.
         state: the state of the arm.
-        bounds: the limits of the joints, with acceleration.
+        bounds: the limits of the joints, with acceleration; for a target that leads the arm also without.
         memory: `memory` of the previous step.
 
     Returns:
-        The step, None if the target is at rest or too far away; and the goal, None if unknown.
+        The step, None if the target does not lead the arm and is at rest or too far away; and the goal, None
+        if unknown.
     """
     arm = state.arm
     target = objective.target
     before = memory.goal if isinstance(memory, GeodesicMemory) else None
-    if before is not None and before.target is target:
+    stands = before is not None and before.target is target
+    if before is not None and stands and not target.led:
         return None, before._replace(motion=np.zeros(arm.nv))
     nearest = find_positions_near(objective, state, bounds.position_limits)
     none = np.zeros(arm.nv)
-    if nearest is None or bounds.brake is None:
+    if nearest is None or (bounds.brake is None and not target.led):
         return None, None
     if target.q is not None and not objective.has_exact_goal:
         return None, None
     motion = none if before is None else _turned(arm, nearest - before.positions)
     goal = Goal(target, nearest, motion)
     steady = False
-    if target.velocity is not None and bounds.dt is not None:
+    if stands:
+        motion = none
+    elif target.velocity is not None and bounds.dt is not None:
         motion = bounds.dt * target.velocity
         steady = True
-    elif before is not None:
+    elif before is not None and bounds.brake is not None:
         steady = bool(np.all(np.abs(motion - before.motion) <= bounds.brake * (1.0 + LIMIT_ROUNDING)))
-    if not (steady and np.any(motion)):
+    if not (target.led or (steady and np.any(motion))):
         return None, goal
     columns = objective.columns
     positions = state.raw_positions
@@ -621,10 +625,10 @@ def pursue(
     moves = near & (np.abs(motion) <= bounds.bound)
     inside = kernels.position_excess(positions + rest, bounds.position_limits, arm.kinematics.columns) == 0.0
     step_bounds = bounds.step_bounds(state, None if memory is None else memory.dq)
-    if step_bounds.outside or not (inside and np.all(moves[columns])):
+    if not target.led and (step_bounds.outside or not (inside and np.all(moves[columns]))):
         return None, goal
     dq = np.zeros(arm.nv)
-    proposal = motion + farthest(rest - motion, bounds.brake)
+    proposal = rest if bounds.brake is None else motion + farthest(rest - motion, bounds.brake)
     dq[columns] = np.minimum(np.maximum(proposal, step_bounds.lower), step_bounds.upper)[columns]
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)

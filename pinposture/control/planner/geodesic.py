@@ -65,6 +65,10 @@ class GeodesicSettings(NamedTuple):
     """How often a step within torque limits is computed, with velocities first as before it, then as in
     it."""
 
+    led_margin: float = 0.5
+    """Share of the margin to obstacles that an arm keeps which is led. What leads it keeps all of the margin,
+    and the arm is never quite there: with all of it, arms stood beside walls along which they were led."""
+
     least_clearance_gain: float = 1e-4
     """Gain in clearance of a step out of an obstacle below which a path is planned, in arm lengths."""
 
@@ -299,7 +303,8 @@ class Geodesic:
     ) -> Memory:
         """Take the smallest step that keeps the arm clear, regardless of the target, while a path is planned.
 
-        Without moving obstacles and an `offset`, the arm brakes to a stop, unless a moved one is too close.
+        Without moving obstacles and an `offset`, the arm brakes to a stop, unless a moved one is too close;
+        and so does an arm that is led (`Target.led`).
 
         Args:
             state: the state of the arm.
@@ -316,7 +321,7 @@ class Geodesic:
         limits = require_limits(limits)
         require_step_arguments(state, target, memory)
         memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
-        if self.scene is None or not (self.scene.moving or self.offset is not None):
+        if self.scene is None or target.led or not (self.scene.moving or self.offset is not None):
             return memory.braked(limits, state)
         objective = self.objective(state.arm, target)
         state = state.chain_state
@@ -497,10 +502,40 @@ def _go_to_goal(now: _Situation) -> Step | None:
 
 
 def _pursue_goal(now: _Situation) -> Step | None:
+    if now.target.led and not now.controller.tasks:
+        return _keep_to_way(now)
     if not now.direct or now.bounds.brake is None:
         return None
     step, now.goal = pursue(now.objective, now.state, now.bounds, now.memory)
     return now.held(step)
+
+
+def _keep_to_way(now: _Situation) -> Step | None:
+    """Take the step towards a target that leads the arm, as far as that is clear; never another way.
+
+    Clear is the measured arm, if it is known: where drives sag, the command is beyond what leads the arm.
+    """
+    controller = now.controller
+    step, now.goal = pursue(now.objective, now.state, now.bounds, now.memory)
+    avoidance = Avoidance.of(controller.scene, now.objective, now.bounds, now.previous, None, now.braking)
+    if step is None or avoidance is None:
+        return step
+    avoidance = avoidance.within(GEODESIC.led_margin)
+    state = now.state if controller.offset is None else now.state.moved(controller.offset)
+    cleared = avoidance.clear_step(state, step.dq)
+    memory = GeodesicMemory(cleared.dq, cleared.stopping, None, now.goal)
+    if cleared.share == 1.0:
+        return step._replace(memory=memory)
+    near = avoidance.describe_obstruction(state, None, True)
+    before, after = (_posture_error(at, now.target) for at in (now.state, now.state.moved(cleared.dq)))
+    return step._replace(
+        dq=cleared.dq,
+        reason="" if np.any(cleared.dq) else f"the way on is not clear: {'; '.join(near)}",
+        error_increasing=after > before,
+        violated_constraints=step.violated_constraints + cleared.violated_constraints,
+        near=near,
+        memory=memory,
+    )
 
 
 def _return_into_limits(now: _Situation) -> Step | None:
@@ -644,7 +679,11 @@ MODES = (
         "continue on the path", "the last step was on it, nothing has changed, all is clear", _continue_path
     ),
     Mode("go to the goal", "no acceleration limits, and the goal is one short step away", _go_to_goal),
-    Mode("pursue the goal", "acceleration limits, and a goal nearby that moves steadily", _pursue_goal),
+    Mode(
+        "pursue the goal",
+        "acceleration limits, and a goal nearby that moves steadily; or it leads the arm",
+        _pursue_goal,
+    ),
     Mode("return into limits", "a joint is outside its position limits", _return_into_limits),
     Mode("back out", "the arm is in collision before there is a path", _back_out),
     Mode(
