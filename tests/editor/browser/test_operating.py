@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
+import numpy as np
 import pytest
 from editor.browser.desk import free_port, wait_until
-from editor.browser.window import CANVAS, CLOSE, SIZE
+from editor.browser.window import CANVAS, CLOSE, SIZE, Window
 
 import pinposture as pp
 from pinposture.operate import Control, LivePage, Operation, SimulatedArm
+from pinposture.operate.operation import Shown
+from pinposture.operate.ways import CurveAlong
 from pinposture.ros2.driver import usual_limits
 from pinposture.sim import DepthCamera
 
@@ -60,6 +65,124 @@ def test_keys_and_buttons_count_while_they_are_held(browser: Any) -> None:
     wait_until(lambda: control.reason == "no page has control", "the page is gone")
     live.close()
     assert complaints == []
+
+
+class Watched(Control):
+    """Control that keeps when messages of pages came.
+
+    Attributes:
+        heard: when the last one came [s].
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard = 0.0
+
+    def take(self, page: str, message: str | bytes, now: float) -> dict[str, Any]:
+        self.heard = now
+        return super().take(page, message, now)
+
+
+class Station:
+    """A simulated arm that moves in real time, and its page in a browser."""
+
+    def __init__(self, browser: Any) -> None:
+        self.arm = arm = pp.Arm.from_template("RyRz", modules=6)
+        limits = usual_limits(arm, 0.02)
+        self.control = Watched()
+        self.operation = Operation(arm, limits, self.control)
+        self.cycles: list[Shown] = []
+        self.operation.watch = self.cycles.append
+        self._simulated = SimulatedArm(arm, self.operation, limits, q0=0.3 * np.ones(arm.nq))
+        self._live = LivePage(self.operation, port=free_port(), simulated=self._simulated)
+        self._live.start()
+        self._stop = Event()
+        self._loop = Thread(target=self._simulated.run, args=(self._stop,))
+        self._loop.start()
+        self.window = Window(browser, self._live.url, self._live.view, None)
+
+    def close(self) -> None:
+        self.window.close()
+        self._stop.set()
+        self._loop.join()
+        self._live.close()
+        self._simulated.close()
+        self.operation.close()
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Where the tip is led to, (3,) [m]."""
+        return np.asarray(self.arm.at(self.cycles[-1].led).points[-1])
+
+    def hold(self, key: str) -> None:
+        """Hold a key, again and again until it counts: a browser that stalls loses what is held."""
+        for _ in range(20):
+            self.window.page.keyboard.down(key)
+            end = time.monotonic() + 0.5
+            while time.monotonic() < end:
+                if self.control.order(time.monotonic()) is not None:
+                    return
+                time.sleep(0.005)
+            self.window.page.keyboard.up(key)
+        pytest.fail(f"{key} is not held: {self.control.reason}")
+
+    def braked_after(self, end: Callable[[], object]) -> float:
+        """End what is held in some way; return how long after that the arm is braked [s]."""
+        begun = time.monotonic()
+        end()
+        wait_until(lambda: self.cycles[-1].order is None, "nothing is held")
+        braked = next(shown for shown in self.cycles if shown.time > begun and shown.order is None)
+        return braked.time - begun
+
+
+@pytest.fixture
+def station(browser: Any) -> Iterator[Station]:
+    made = Station(browser)
+    yield made
+    made.close()
+
+
+def test_a_curve_is_dragged_and_the_arm_runs_to_it_while_r_is_held(station: Station) -> None:
+    page = station.window.page
+    operation = station.operation
+    page.evaluate("document.querySelector('#ask').click()")
+    page.wait_for_selector("#controls.yours")
+    wait_until(lambda: operation.shown.led is not None, "the arm is led")
+    before = station.tip
+    ball = CurveAlong.of(station.arm, operation.shown.led).points[-1]
+    place = ball + [-0.03, 0.0, 0.06]
+    station.window.drag(ball, place)
+    station.window.drop()
+    wait_until(lambda: operation.shown.planned.goal is not None, "a way is planned")
+    time.sleep(2.0)  # for the plan of the end of the drag
+    goal = station.arm.at(operation.shown.planned.goal).points[-1]
+    assert np.linalg.norm(goal - before) > 0.03
+    np.testing.assert_allclose(station.tip, before, atol=1e-9)  # nothing moves yet
+
+    times = []
+    for _ in range(3):
+        station.hold("r")
+        wait_until(lambda: station.cycles[-1].mode != "holds", "it runs")
+        time.sleep(0.2)
+        times.append(station.braked_after(lambda: page.keyboard.up("r")))
+        wait_until(lambda: station.cycles[-1].mode == "holds", "it holds")
+    assert min(times) <= 0.1  # a busy machine takes longer now and then
+
+    end = time.monotonic() + 60.0
+    while np.linalg.norm(station.tip - goal) > 1e-3 and time.monotonic() < end:
+        station.hold("r")
+        time.sleep(0.5)
+        page.keyboard.up("r")
+    np.testing.assert_allclose(station.tip, goal, atol=1e-3)
+
+    station.hold("b")  # and back, until the page has lost the focus
+    blurred = station.braked_after(lambda: page.evaluate("dispatchEvent(new Event('blur'))"))
+    page.keyboard.up("b")
+    station.hold("b")
+    closed = station.braked_after(page.close)
+    assert min(blurred, closed) <= 0.1
+    assert max(blurred, closed) <= 0.5
+    assert station.window.complaints == []
 
 
 def test_the_page_shows_an_arm_that_is_steered_to_a_hole_it_sees(browser: Any, pictures: Path | None) -> None:
