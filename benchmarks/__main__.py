@@ -44,6 +44,7 @@ SCRIPTS = (
     "retreat",
     "ros2",
     "scan_obstacles",
+    "sensed",
     "shape",
     "soak",
     "steering",

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from pinposture.ros2 import Driver
 
 ROS = Panel("ROS 2")
+SHAPE = Panel("The shape as sensed")
 SENSORS = Panel("Its sensors")
 
 RosArguments = Annotated[
@@ -70,16 +71,36 @@ class DriverOptions:
     touch: Annotated[
         str | None, SURROUNDINGS("Brake and hold if an effort differs by more from its model.", "TORQUE")
     ] = None
+    imus: Annotated[str | None, SHAPE("{ros2.shape_readings.ShapeSensing.imus}", "TOPIC,...")] = None
+    no_heading: Annotated[
+        bool, SHAPE("Take only from inertial sensors which way is up.", flags="--no-heading")
+    ] = False
+    tip_pose: Annotated[str | None, SHAPE("{ros2.shape_readings.ShapeSensing.tip_pose}", "TOPIC")] = None
+    encoders: Annotated[str | None, SHAPE("{ros2.shape_readings.ShapeSensing.encoders}", "SIDE")] = None
+    encoder_noise: Annotated[
+        str | None, SHAPE("{ros2.shape_readings.ShapeSensing.encoder_noise}", "ANGLE")
+    ] = None
+    imu_noise: Annotated[str | None, SHAPE("{ros2.shape_readings.ShapeSensing.imu_noise}", "ANGLE")] = None
+    tip_noise: Annotated[str | None, SHAPE("{ros2.shape_readings.ShapeSensing.tip_noise}", "LENGTH")] = None
+    give: Annotated[str | None, SHAPE("{ros2.shape_readings.ShapeSensing.give}", "ANGLE")] = None
+    max_deviation: Annotated[
+        str | None, SHAPE("{ros2.shape_readings.ShapeSensing.max_deviation}", "LENGTH")
+    ] = None
 
     def read(self) -> Any:
         """Return the settings; raise a `PostureError` for a value that is refused."""
         from pinposture.motion import Touch
-        from pinposture.ros2 import DriverSettings
+        from pinposture.ros2 import DriverSettings, ShapeSensing
 
-        values = {name: value for name, value in vars(self).items() if name != "touch"}
-        settings = read_declared(DriverSettings, values)
+        given = vars(self)
+        sensed = {name: given[name] for name in vars(ShapeSensing()) if given.get(name) is not None}
+        if self.no_heading:
+            sensed["heading"] = False
+        own = {name: value for name, value in given.items() if name in vars(DriverSettings())}
+        settings = read_declared(DriverSettings, {**own, "touch": None})
         touch = None if self.touch is None else read_declared(Touch, {"threshold": self.touch})
-        return replace(settings, touch=touch)
+        sensing = read_declared(ShapeSensing, sensed) if sensed else None
+        return replace(settings, touch=touch, sensing=sensing)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +130,7 @@ class AimOptions:
     "pinposture drive arm.urdf --curve helix",
     "pinposture drive arm.urdf --curve bow.json --command positions --velocity 0.5",
     "pinposture drive arm.urdf --motion out/task --scene scene.toml",
+    "pinposture drive arm.urdf --imus imu --tip-pose tip_pose --encoders motor",
     "pinposture drive arm.urdf -- --ros-args -p hold:=true -r joint_states:=/arm/joint_states",
 )
 def run(
@@ -125,9 +147,11 @@ def run(
 
     The node moves the arm within its limits to the curve or along the motion, then to the targets that it
     is sent: ~/path (nav_msgs/Path) or ~/posture (sensor_msgs/JointState). Clouds on the topic points
-    (sensor_msgs/PointCloud2), in the frame of a link or of the world, become obstacles. Where something is
-    missing, old or unknown, the arm brakes and holds, and /diagnostics gives the reason. Ctrl-C lets it brake
-    and hold, and ends the node. Without limits, those of the description apply, else 1 rad/s and 2 rad/s2.
+    (sensor_msgs/PointCloud2), in the frame of a link or of the world, become obstacles. Inertial sensors and
+    the pose of the tip tell the shape where encoders are missing, or the arm gives way behind them. Where
+    something is missing, old or unknown, the arm brakes and holds, and /diagnostics gives the reason. Ctrl-C
+    lets it brake and hold, and ends the node. Without limits, those of the description apply, else 1 rad/s
+    and 2 rad/s2.
 
     It needs rclpy: pip install 'pinposture[ros2]', or a sourced ROS 2. docs/ros2.md describes all of it.
     """
@@ -209,6 +233,13 @@ class SensorOptions:
     dropped: Annotated[float, SENSORS("{sim.Sensing.dropped}", "SHARE")] = 0.0
     latency: Annotated[int, SENSORS("{sim.Sensing.latency}", "CYCLES")] = 0
     torque_noise: Annotated[str | None, SENSORS("{sim.Sensing.torque_noise}", "TORQUE")] = None
+    encoders: Annotated[str | None, SENSORS("{ros2.robot.RobotSettings.encoders}", "SIDE")] = None
+    imus: Annotated[int, SENSORS("{sim.LinkSensing.imus} They publish imu.", "N")] = 0
+    imu_noise: Annotated[str | None, SENSORS("{sim.LinkSensing.imu_noise}", "ANGLE")] = None
+    tip_pose: Annotated[
+        bool, SENSORS("The pose of the tip is measured, and published on tip_pose.", flags="--tip-pose")
+    ] = False
+    tip_noise: Annotated[str | None, SENSORS("{sim.LinkSensing.tip_noise}", "LENGTH")] = None
     camera: Annotated[
         bool, SENSORS("A depth camera at the tip, which publishes points.", flags="--camera")
     ] = False
@@ -219,6 +250,7 @@ class SensorOptions:
     "pinposture robot arm.urdf --frequency 4",
     "pinposture robot arm.urdf --scene scene.toml --camera --torque-noise 0.01",
     "pinposture robot arm.urdf --latency 3 --dropped 0.05",
+    "pinposture robot arm.urdf --encoders motor --imus 2 --tip-pose",
     "pinposture robot arm.urdf -- --ros-args -p stuck:=m02_j1_y",
 )
 def run_robot(
@@ -235,21 +267,24 @@ def run_robot(
     The node publishes joint_states, and with --camera clouds on the topic points, in the frame of the tip
     link. It takes commands as joint_trajectory_controller and JointGroupPositionController do. Its servos are
     soft: at 4 Hz, the tip sags by 16 mm. Set parameters to let joints fail, or messages come late or not at
-    all: stuck, limp and weak (names of joints, separated by commas), latency (in s), silent.
+    all: stuck, limp and weak (names of joints, separated by commas), latency (in s), silent, and missing
+    (names of joints and links without sensors).
     """
     with hold_interrupt():
         from pinposture.arm.mjcf import load_mujoco
         from pinposture.collision import Scene
         from pinposture.ros2 import RobotSettings, SimulatedRobot, open_node
-        from pinposture.sim import DepthCamera, Sensing, Servos
+        from pinposture.sim import DepthCamera, LinkSensing, Sensing, Servos
 
     load_mujoco()
-    camera_options = ("camera", "camera_rate")
-    sensed = {name: value for name, value in vars(sensor_options).items() if name not in camera_options}
-    settings = RobotSettings(
+    sensed = {name: value for name, value in vars(sensor_options).items() if name in vars(Sensing())}
+    carried = ("imus", "imu_noise", "tip_pose", "tip_noise")
+    settings = replace(
+        read_declared(RobotSettings, {"encoders": sensor_options.encoders}),
         rate=robot_options.rate,
         servos=read_declared(Servos, {"frequency": robot_options.frequency}),
         sensing=read_declared(Sensing, sensed),
+        links=read_declared(LinkSensing, {name: vars(sensor_options)[name] for name in carried}),
         camera=DepthCamera() if sensor_options.camera else None,
         camera_rate=sensor_options.camera_rate,
         clock=robot_options.clock,

@@ -31,6 +31,7 @@ from pinposture.ros2.diagnostics import CycleTimes, diagnostics
 from pinposture.ros2.failures import POLLING, Locked, Outlook, Outlooks, as_possible
 from pinposture.ros2.graph import latest_only, sensor_data
 from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
+from pinposture.ros2.shape_readings import FAULTS, ShapeReadings, ShapeSensing
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Duration, Length, declared, one_of
 from pinposture.sim import set_points
 from pinposture.task.retreat import WayIn
@@ -86,6 +87,7 @@ class DriverSettings(Declared):
             the arm.
         forget: time constant with which the map forgets what is not seen again [s]; None: it does not.
         touch: how to notice from measured efforts that something touches the arm; None: it is not noticed.
+        sensing: what other sensors tell the shape; None: the encoders of all joints alone do.
         lock_after: time for which a joint has to stick before it is locked, and the arm goes on without it
             [s]; None: the arm holds until the joint moves.
         max_cloud_age: age of the last cloud above which the map is stale [s], once there was one; None: it
@@ -103,6 +105,7 @@ class DriverSettings(Declared):
     cloud_resolution: Length | None = None
     forget: Duration | None = None
     touch: Annotated[Touch | None, AS_GIVEN] = None
+    sensing: Annotated[ShapeSensing | None, AS_GIVEN] = None
     lock_after: Duration | None = None
     max_cloud_age: Duration | None = None
     stale: Annotated[Literal["hold", "slow"], one_of("stale", "hold", "slow")] = "hold"
@@ -188,10 +191,10 @@ class Driver:
             driver.aim(target)
             spin(node, driver.stop, driver.done)
 
-    It subscribes to `joint_states` (JointState), `points` (PointCloud2), `~/path` (Path: a curve through its
-    points, in place, in the frame of the world or of the base), and `~/posture` (JointState: positions to
-    move to); it publishes commands on a topic of `COMMANDS`, and `/diagnostics`. Names of topics can be
-    remapped, as in all of ROS.
+    It subscribes to `joint_states` (JointState), what `ShapeSensing` names, `points` (PointCloud2), `~/path`
+    (Path: a curve through its points, in place, in the frame of the world or of the base), and `~/posture`
+    (JointState: positions to move to); it publishes commands on a topic of `COMMANDS`, and `/diagnostics`.
+    Names of topics can be remapped, as in all of ROS.
 
     Parameters of the node are the settings and `velocity`, `acceleration`, `jerk` [rad, m, s], with 0 for
     what was given at the start, and `hold`: the arm brakes and holds while it is true, and starts from where
@@ -214,6 +217,7 @@ class Driver:
         tracker: what computes the steps; another one when joints are locked.
         locked: positions of the joints that are locked, by name [rad or m].
         times: how punctual the cycles are.
+        measured: the configuration in the last cycle, as measured or estimated, (nq,); None if not known.
         status: that of the last cycle, as in `Report`.
         reason: why it is so; empty if all is well.
 
@@ -254,9 +258,13 @@ class Driver:
         self.tracker = self._new_tracker(arm, self._scene)
         self.locked: dict[str, float] = {}
         self.times = CycleTimes(self._period)
+        self.measured: Array | None = None
         self.status = "holding"
         self.reason = "no cycle yet"
-        self._joints = JointReadings(arm, self.settings.max_age)
+        sensing = self.settings.sensing
+        self._shape = None if sensing is None else ShapeReadings(arm, self.settings.max_age, sensing)
+        self._joints = self._shape or JointReadings(arm, self.settings.max_age)
+        self._sent: Array | None = None  # positions that were sent last
         self._performance: Performance | None = None
         self._guide: Guide | None = None
         self._located = False  # it is not known yet where the arm is
@@ -324,6 +332,7 @@ class Driver:
                 "forget", settings.forget, "time constant of the map [s]; 0: it forgets nothing"
             ),
             touch=settings.touch,
+            sensing=settings.sensing,
             lock_after=declare_optional(
                 "lock_after",
                 settings.lock_after,
@@ -399,7 +408,13 @@ class Driver:
         reliable = latest_only(True)
         self._commands = node.create_publisher(kind, COMMANDS[self.settings.command], reliable)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._states = node.create_subscription(JointState, "joint_states", self._take_joints, sensor_data())
+        self._sensors = [
+            node.create_subscription(
+                JointState, "joint_states", self._take_by(self._joints.take), sensor_data()
+            )
+        ]
+        if self._shape is not None:
+            self._connect_sensing(node, self._shape)
         node.create_subscription(PointCloud2, "points", self._take_cloud, latest_only(False))
         node.create_subscription(Path, "~/path", self._take_path, reliable)
         node.create_subscription(JointState, "~/posture", self._take_posture, reliable)
@@ -412,15 +427,37 @@ class Driver:
         now: int = self._node.get_clock().now().nanoseconds
         return now
 
-    def _take_joints(self, message: Any) -> None:
-        self._joints.take(message, self._now())
+    def _connect_sensing(self, node: Any, shape: ShapeReadings) -> None:
+        """Create the subscriptions of the sensors of the shape."""
+        from geometry_msgs.msg import PoseStamped
+        from rclpy.exceptions import NameValidationException
+        from sensor_msgs.msg import Imu
 
-    def _take_waiting_joints(self) -> None:
-        """Take joint states that wait: executors run timers first, and a late cycle needs what came last."""
-        states = self._states
-        with states.handle:
-            while taken := states.handle.take_message(states.msg_type, states.raw):
-                self._take_joints(taken[0])
+        sensing = shape.sensing
+        imus = [(Imu, topic, shape.take_imu) for topic in sensing.imus]
+        tip = [] if sensing.tip_pose is None else [(PoseStamped, sensing.tip_pose, shape.take_tip)]
+        try:
+            self._sensors += [
+                node.create_subscription(kind, topic, self._take_by(take), sensor_data())
+                for kind, topic, take in (*imus, *tip)
+            ]
+        except NameValidationException as error:
+            raise PostureError(str(error).replace("\n", " ")) from error
+
+    def _take_by(self, take: Callable[[Any, int], str]) -> Callable[[Any], None]:
+        """Return what takes messages of a sensor."""
+
+        def taken(message: Any) -> None:
+            take(message, self._now())
+
+        return taken
+
+    def _take_waiting(self) -> None:
+        """Take messages of sensors that wait: executors run timers first, and a late cycle needs the last."""
+        for sensor in self._sensors:
+            with sensor.handle:
+                while taken := sensor.handle.take_message(sensor.msg_type, sensor.raw):
+                    sensor.callback(taken[0])
 
     def _take_path(self, message: Any) -> None:
         """Have a curve through points placed, in another thread."""
@@ -695,7 +732,7 @@ class Driver:
     def _cycle(self) -> None:
         """Take a step, and send the positions that it leads to."""
         self._last_cycle = time.monotonic()
-        self._take_waiting_joints()
+        self._take_waiting()
         now = self._now()
         passed = self.times.begin(now)
         if passed <= 0.0:  # the clock jumped back
@@ -705,8 +742,11 @@ class Driver:
             self._seen_at = None
             self.times.latencies.clear()
             passed = self._period
+        if self._shape is not None:
+            self._shape.estimate(now, passed, self._sent)
         measured = self._joints.measurement(now)
         q = self._configuration(measured)
+        self.measured = q
         if q is not None:
             self._map_measurement(q, measured.stamp)
             self._way_in.add(q)
@@ -820,7 +860,8 @@ class Driver:
         from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
         from trajectory_msgs.msg import JointTrajectoryPoint
 
-        positions = self.tracker.positions.tolist()
+        self._sent = self.tracker.positions
+        positions = self._sent.tolist()
         if self.settings.command == "positions":
             return Float64MultiArray(data=positions)
         period = round(NANOSECONDS / self.settings.rate)
@@ -858,8 +899,9 @@ class Driver:
         now = self._now()
         measured = self._joints.measurement(now)
         stale = self._stale(now)
+        sensed = {} if self._shape is None else self._shape.told(now)
         level = 0 if self.status in ("moving", "converged") and not self._target_fault else 1
-        if self.locked or stale:
+        if self.locked or stale or any(sensed.get(key) for key in FAULTS):
             level = 1
         if measured.reason or self._cloud_faults:
             level = 2
@@ -884,6 +926,7 @@ class Driver:
             "missed cycles": self.times.missed,
             "overruns": self.tracker.overruns,
             **self.times.recent_latencies(),
+            **sensed,
         }
         words = f"{self.status}: {self.reason}" if self.reason else self.status
         message = diagnostics(self._node.get_fully_qualified_name(), self.arm.name, level, words, values)

@@ -14,7 +14,15 @@ from pinposture.errors import PostureError
 COMMAND = "pip install 'pinposture[ros2]', or source the setup file of your ROS 2"
 """How to get rclpy."""
 
-MESSAGES = ("diagnostic_msgs", "nav_msgs", "rosgraph_msgs", "sensor_msgs", "std_msgs", "trajectory_msgs")
+MESSAGES = (
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "nav_msgs",
+    "rosgraph_msgs",
+    "sensor_msgs",
+    "std_msgs",
+    "trajectory_msgs",
+)
 """Packages of messages that the nodes need."""
 
 LONGEST_WAIT = 0.1
@@ -126,9 +134,9 @@ def latest_only(reliable: bool) -> Any:
 def sensor_data() -> Any:
     """Return the quality of service of measurements, of publishers that are reliable or not.
 
-    It keeps a few: the joints of an arm may come in several messages.
+    It keeps some: the joints of an arm may come in several messages, and its inertial sensors share a topic.
     """
-    return _profile(10, False)
+    return _profile(100, False)
 
 
 def _profile(depth: int, reliable: bool) -> Any:

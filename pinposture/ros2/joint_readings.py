@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isfinite, nan
 from typing import Any, NamedTuple
 
+from pinposture._validation import LARGEST_COORDINATE
 from pinposture.arm import Arm
 from pinposture.errors import did_you_mean, enumerated
 from pinposture.motion.ros import NANOSECONDS, stamp_of
@@ -43,6 +44,26 @@ class JointMeasurement(NamedTuple):
     age: float
     stamp: int
     reason: str
+
+
+def fault_of_stamp(kind: str, stamp: int, last: int, now: int, max_age: float) -> str:
+    """Return why a message cannot be used by its time stamp; empty if it can.
+
+    Args:
+        kind: the messages, in the plural.
+        stamp: the stamp [ns].
+        last: that of the message before, or the same if there was none [ns].
+        now: the time [ns].
+        max_age: how far stamps may be in the future [s].
+    """
+    if stamp == 0:
+        return f"{kind} have no time stamp"
+    ahead = (stamp - now) / NANOSECONDS
+    if ahead > max_age:
+        return f"{kind} are stamped {ahead:.3g} s in the future: do the clocks agree?"
+    if stamp < last:
+        return f"{kind} jump back in time by {(last - stamp) / NANOSECONDS:.3g} s"
+    return ""
 
 
 class JointReadings:
@@ -104,15 +125,17 @@ class JointReadings:
             twice = next(name for name in names if names.count(name) > 1)
             return f"joint states have {twice!r} twice"
         stamp = stamp_of(message)
-        if stamp == 0:
-            return "joint states have no time stamp"
-        ahead = (stamp - now) / NANOSECONDS
-        if ahead > self.max_age:
-            return f"joint states are stamped {ahead:.3g} s in the future: do the clocks agree?"
         last = max((self._readings[name].stamp for name in names if name in self._readings), default=stamp)
-        if stamp < last:
-            return f"joint states jump back in time by {(last - stamp) / NANOSECONDS:.3g} s"
-        return ""
+        return fault_of_stamp("joint states", stamp, last, now, self.max_age)
+
+    def recent(self, now: int) -> dict[str, JointReading]:
+        """Return the readings that can be used at a time [ns], by the names of joints; others are missing."""
+        oldest = now - self.max_age * NANOSECONDS
+        return {
+            name: reading
+            for name, reading in self._readings.items()
+            if reading.stamp >= oldest and _is_possible(reading.position)
+        }
 
     def measurement(self, now: int) -> JointMeasurement:
         """Return what is known of the joints at a time [ns]."""
@@ -123,7 +146,7 @@ class JointReadings:
         stamp = self._readings[oldest].stamp
         age = (now - stamp) / NANOSECONDS
         positions = {name: self._readings[name].position for name in self._names}
-        broken = [name for name, position in positions.items() if not isfinite(position)]
+        broken = [name for name, position in positions.items() if not _is_possible(position)]
         reason = ""
         if age > self.max_age:
             old = f"{age:.3g} s ago; at most max_age, {self.max_age:.3g} s, is used"
@@ -144,3 +167,8 @@ class JointReadings:
             return "no joint states yet"
         hints = [f"{name!r}{did_you_mean(name, sorted(self._others))}" for name in missing]
         return f"joint states lack {enumerated(hints, MAX_LISTED_JOINTS)}"
+
+
+def _is_possible(position: float) -> bool:
+    """Whether a joint can be at a position, which is not NaN and not huge."""
+    return abs(position) <= LARGEST_COORDINATE

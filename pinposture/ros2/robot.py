@@ -1,24 +1,27 @@
-"""A simulated robot as a node: soft servos, encoders, a depth camera, late messages, joints that fail."""
+"""A simulated robot as a node: soft servos, encoders, other sensors, late messages, joints that fail."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_instance, require_positive
+from pinposture._validation import require_instance, require_known, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.errors import PostureError
-from pinposture.motion.ros import NANOSECONDS, stamp_of
+from pinposture.motion.ros import NANOSECONDS, stamp_of, world_frame
+from pinposture.motion.shape_estimator import SIDES
 from pinposture.ros2.clouds import write_points
 from pinposture.ros2.driver import COMMANDS
-from pinposture.ros2.graph import latest_only
-from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Flag, declared
+from pinposture.ros2.graph import latest_only, sensor_data
+from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Flag, declared, one_of
 from pinposture.sim.camera import DepthCamera, TipCamera
+from pinposture.sim.link_sensors import LinkSensing, LinkSensors
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
 
@@ -40,17 +43,23 @@ class RobotSettings(Declared):
         rate: number of control cycles, and of messages of JointState, per second [Hz].
         servos: its servos.
         sensing: its joint sensors; `latency` counts cycles, and stamps tell when a message was measured.
+        encoders: where the joint sensors are: "joint", or "motor": they tell the set points of the servos,
+            and not how far these give way.
+        links: the sensors on links.
         camera: the depth camera at the tip; None: there is none.
         camera_rate: number of clouds per second [Hz].
         clock: whether the time of the simulation is published on `/clock`, for nodes with `use_sim_time`.
 
     Raises:
         InvalidValue: a rate that is not positive.
+        UnknownName: another place of joint sensors.
     """
 
     rate: Annotated[float, CheckedBy(require_positive)] = 100.0
     servos: Annotated[Servos, AS_GIVEN] = Servos()
     sensing: Annotated[Sensing, AS_GIVEN] = Sensing()
+    encoders: Annotated[Literal["joint", "motor"], one_of("side of encoders", *SIDES)] = "joint"
+    links: Annotated[LinkSensing, AS_GIVEN] = LinkSensing()
     camera: Annotated[DepthCamera | None, AS_GIVEN] = None
     camera_rate: Annotated[float, CheckedBy(require_positive)] = 5.0
     clock: Flag = False
@@ -118,13 +127,15 @@ class SimulatedRobot:
             robot = SimulatedRobot(node, arm, scene, RobotSettings(servos=Servos(frequency=4.0)))
             spin(node, robot.stop, robot.done)
 
-    It publishes `joint_states` (JointState, with efforts if `Sensing` measures torques) and with a camera
-    `points` (PointCloud2, in the frame of the tip link), and takes commands of both kinds, on the topics of
-    `COMMANDS`.
+    It publishes `joint_states` (JointState, with efforts if `Sensing` measures torques), with a camera
+    `points` (PointCloud2, in the frame of the tip link), and with `LinkSensing` `imu` (Imu, in the frame of
+    each link) and `tip_pose` (PoseStamped, in the frame of the world). It takes commands of both kinds, on
+    the topics of `COMMANDS`.
 
     Parameters of the node, which can be changed at any time: `stuck`, `limp` and `weak`, names of joints that
-    fail as `Plant.fail` says, separated by commas; `latency`, by which messages of JointState come late [s];
-    `silent`, whether they do not come at all.
+    fail as `Plant.fail` says, separated by commas; `latency`, by which messages of joints and links come late
+    [s]; `silent`, whether those of joints do not come at all; `missing`, names of joints, and of links with
+    other sensors, that are left out of messages.
 
     Attributes:
         arm: the arm.
@@ -140,7 +151,8 @@ class SimulatedRobot:
 
     Raises:
         MujocoMissing: MuJoCo is not installed.
-        PostureError: the arm cannot be simulated, as `build_plant_model` says, or q0 is invalid.
+        PostureError: the arm cannot be simulated, as `build_plant_model` says, or q0 or a parameter is
+            invalid.
     """
 
     def __init__(
@@ -164,7 +176,10 @@ class SimulatedRobot:
         self._sensors = Sensors(replace(self._settings.sensing, latency=0))
         self._latency = self._settings.sensing.latency * dt
         self._silent = False
-        self._late: deque[tuple[float, Any]] = deque()
+        self._missing: frozenset[str] = frozenset()
+        self._late: deque[tuple[float, Any, Any]] = deque()
+        self._links = LinkSensors(arm, self._settings.links, dt)
+        self._read_links = 0
         self._camera = None
         if self._settings.camera is not None:
             self._camera = TipCamera(arm, scene or Scene(), self._settings.camera)
@@ -176,19 +191,26 @@ class SimulatedRobot:
 
     def _connect(self, node: Any) -> None:
         """Declare parameters; create publishers, subscriptions and the timer."""
+        from geometry_msgs.msg import PoseStamped
         from rclpy.clock import Clock, ClockType
         from rosgraph_msgs.msg import Clock as ClockMessage
-        from sensor_msgs.msg import JointState, PointCloud2
+        from sensor_msgs.msg import Imu, JointState, PointCloud2
         from std_msgs.msg import Float64MultiArray
         from trajectory_msgs.msg import JointTrajectory
 
-        parameters = {**dict.fromkeys(FAILURES, ""), "latency": self._latency, "silent": False}
+        names = dict.fromkeys((*FAILURES, "missing"), "")
+        parameters = {**names, "latency": self._latency, "silent": False}
         for name, value in parameters.items():
             node.declare_parameter(name, value)
         node.add_on_set_parameters_callback(self._change_parameters)
+        begun = self._change_parameters(node.get_parameters(list(parameters)))
+        if not begun.successful:
+            raise PostureError(begun.reason)
         reliable = latest_only(True)
         self._states = node.create_publisher(JointState, "joint_states", reliable)
         self._points = node.create_publisher(PointCloud2, "points", reliable)
+        self._imus = node.create_publisher(Imu, "imu", sensor_data())
+        self._tips = node.create_publisher(PoseStamped, "tip_pose", sensor_data())
         self._ticks = (
             node.create_publisher(ClockMessage, "/clock", reliable) if self._settings.clock else None
         )
@@ -202,14 +224,18 @@ class SimulatedRobot:
         from rcl_interfaces.msg import SetParametersResult
 
         changed = {parameter.name: parameter.value for parameter in parameters}
+        given = {key: changed.get(key, self._node.get_parameter(key).value) for key in (*FAILURES, "missing")}
         names = {
-            key: [name.strip() for name in changed.get(key, self._node.get_parameter(key).value).split(",")]
-            for key in FAILURES
+            key: [name.strip() for name in text.split(",") if name.strip()] for key, text in given.items()
         }
+        known = (*self.arm.drives.names, *self._links.links, self.arm.tip)
         try:
-            self.plant.fail(*([name for name in names[key] if name] for key in FAILURES))
+            for name in names["missing"]:
+                require_known("joint or link with sensors", name, known)
+            self.plant.fail(*(names[key] for key in FAILURES))
         except PostureError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        self._missing = frozenset(names["missing"])
         self._latency = changed.get("latency", self._latency)
         self._silent = changed.get("silent", self._silent)
         return SetParametersResult(successful=True)
@@ -250,6 +276,7 @@ class SimulatedRobot:
                 self._stopped = True
                 return
             self._measure()
+            self._measure_links()
             self._look()
         self._deliver()
 
@@ -268,27 +295,70 @@ class SimulatedRobot:
 
         if self._ticks is not None:
             self._ticks.publish(ClockMessage(clock=self._stamp))
-        measured = self._sensors.measure(self.plant.positions, self.plant.torques)
+        plant = self.plant
+        positions = plant.positions if self._settings.encoders == "joint" else plant.set_points
+        measured = self._sensors.measure(positions, plant.torques)
         if measured is None or self._silent:
             return
-        message = JointState(name=list(self.arm.drives.names), position=measured.tolist())
+        names = self.arm.drives.names
+        there = [k for k, name in enumerate(names) if name not in self._missing]
+        message = JointState(name=[names[k] for k in there], position=measured[there].tolist())
         message.header.stamp = self._stamp
         if self._sensors.torques is not None:
-            message.effort = self._sensors.torques.tolist()
-        self._late.append((self.time + self._latency, message))
+            message.effort = self._sensors.torques[there].tolist()
+        self._late.append((self.time + self._latency, self._states, message))
+
+    def _measure_links(self) -> None:
+        """Read the sensors on the links, if it is time."""
+        from geometry_msgs.msg import PoseStamped
+        from sensor_msgs.msg import Imu
+
+        links = self._links
+        if not (links.sensing.imus or links.sensing.tip_pose):
+            return
+        links.move(self._configuration)
+        if self.time * links.sensing.rate < self._read_links:
+            return
+        self._read_links = int(self.time * links.sensing.rate) + 1
+        due = self.time + self._latency
+        variance = links.sensing.imu_noise**2
+        for reading in links.read_inertial():
+            message = Imu()
+            message.header.frame_id = reading.link
+            message.header.stamp = self._stamp
+            _set(message.orientation, pin.Quaternion(reading.rotation).coeffs())
+            _set(message.angular_velocity, reading.velocity)
+            _set(message.linear_acceleration, reading.acceleration)
+            message.orientation_covariance = (variance * np.eye(3)).ravel()
+            if reading.link not in self._missing:
+                self._late.append((due, self._imus, message))
+        placement = links.read_tip()
+        if placement is not None and self.arm.tip not in self._missing:
+            pose = PoseStamped()
+            pose.header.frame_id = world_frame(self.arm)
+            pose.header.stamp = self._stamp
+            _set(pose.pose.position, placement.translation)
+            _set(pose.pose.orientation, pin.Quaternion(placement.rotation).coeffs())
+            self._late.append((due, self._tips, pose))
+
+    @property
+    def _configuration(self) -> Array:
+        """The configuration of the simulated arm, (nq,)."""
+        return self.arm.configuration(self.arm.drives.joint_positions(self.plant.positions))
 
     def _deliver(self) -> None:
         """Publish the messages whose time has come."""
         while self._late and self._late[0][0] <= self.time:
-            self._states.publish(self._late.popleft()[1])
+            _, publisher, message = self._late.popleft()
+            publisher.publish(message)
 
     def _look(self) -> None:
         """Publish a cloud, if it is time."""
         if self._camera is None or self.time * self._settings.camera_rate < self._clouds:
             return
         self._clouds = int(self.time * self._settings.camera_rate) + 1
-        q = self.arm.configuration(self.arm.drives.joint_positions(self.plant.positions))
-        self._points.publish(write_points(self._camera.look(q), self.arm.tip, self._stamp))
+        seen = self._camera.look(self._configuration)
+        self._points.publish(write_points(seen, self.arm.tip, self._stamp))
 
     def stop(self) -> None:
         """End; the servos hold nothing any more, as nothing is simulated."""
@@ -297,3 +367,9 @@ class SimulatedRobot:
     def done(self) -> bool:
         """Return whether the robot was stopped, or the simulation failed."""
         return self._stopped
+
+
+def _set(part: Any, values: Array) -> None:
+    """Set the numbers x, y, z, and w if there is one, of a part of a message."""
+    for name, value in zip("xyzw", values.tolist(), strict=False):
+        setattr(part, name, value)

@@ -13,6 +13,7 @@ from pinposture.sim.control_loop import (
     simulate_closed,
 )
 from pinposture.sim.drives import Drives
+from pinposture.sim.link_sensors import InertialReading, LinkSensing, LinkSensors
 from pinposture.sim.model import Gains, PlantModel, Servos, build_plant_model, mass_matrix
 from pinposture.sim.plant import Sensing, Sensors
 from pinposture.sim.simulation import Simulation, Slip
@@ -26,6 +27,9 @@ __all__ = [
     "DriveModel",
     "Drives",
     "Gains",
+    "InertialReading",
+    "LinkSensing",
+    "LinkSensors",
     "MujocoMissing",
     "PlantModel",
     "Sensing",

@@ -47,6 +47,7 @@ class Graph:
         self.run(lambda: time.monotonic() >= end, 2.0 * duration + 1.0)
 
     def close(self) -> None:
+        self._running.clear()
         self._stack.close()
 
 

@@ -111,7 +111,7 @@ def test_a_message_that_is_wrong_is_refused_whole(
     assert states.measurement(later).positions == all_at(0.2)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
 def test_a_position_that_is_not_finite_is_not_used_and_heals(arm: pp.Arm, message: Any, value: float) -> None:
     states = JointReadings(arm, 0.1)
     states.take(message(all_at(0.1) | {NAMES[1]: value}, NOW), NOW)

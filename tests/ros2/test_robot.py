@@ -13,7 +13,7 @@ import pytest
 import pinposture as pp
 
 pytest.importorskip("mujoco")
-from pinposture.errors import UnknownName
+from pinposture.errors import PostureError, UnknownName
 from pinposture.motion.ros import to_message
 from pinposture.ros2.clouds import read_points
 from pinposture.ros2.robot import CommandedMotion, RobotSettings, SimulatedRobot
@@ -215,6 +215,29 @@ def test_the_robot_moves_as_it_is_told_and_tells_what_it_feels_and_sees(
     count = len(states)
     graph.run_for(0.3)
     assert len(states) == count
+
+
+@pytest.mark.long
+def test_parameters_that_are_given_at_the_start_count(graph: Any, arm: pp.Arm) -> None:
+    stuck = arm.drives.names[1]
+    given = ("--ros-args", "-p", f"stuck:={stuck}", "-p", f"missing:={arm.drives.names[2]}")
+    user = graph.node("listener")
+    states: list[Any] = []
+    from sensor_msgs.msg import JointState
+
+    user.create_subscription(JointState, "/joint_states", states.append, 10)
+    robot = SimulatedRobot(graph.node("lame", *given), arm, None, RobotSettings(servos=Servos(frequency=8.0)))
+    robot._motion.move_to(np.full(arm.nv, 0.3), robot.time)
+    assert graph.run(lambda: robot.time > 1.0)
+    moved = np.abs(robot.plant.positions) > 0.01
+    assert moved.tolist() == [name != stuck for name in arm.drives.names]
+    assert graph.run(lambda: states)
+    assert states[-1].name == [name for name in arm.drives.names if name != arm.drives.names[2]]
+    with pytest.raises(PostureError, match="no joint with a drive is called 'elbow'"):
+        SimulatedRobot(graph.node("wrong", "--ros-args", "-p", "limp:=elbow"), arm)
+    with pytest.raises(PostureError, match="no joint or link with sensors is called 'elbow'"):
+        SimulatedRobot(graph.node("other", "--ros-args", "-p", "missing:=elbow"), arm)
+    graph.close()
 
 
 def test_messages_of_motions_have_the_form_that_the_robot_reads() -> None:
