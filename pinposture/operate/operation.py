@@ -285,7 +285,7 @@ class Operation:
             if away:
                 return away
         velocity = np.zeros(3) if order is None else self._speed * order.override * order.direction
-        waits = self._reason_to_wait(tracker.report, velocity @ self._moved < 0.0)
+        waits = self._reason_to_wait(tracker.report, bool(velocity @ self._moved < 0.0))
         if order is not None and waits:
             velocity = np.zeros(3)
         if order is not None and not waits and self._still_stands(order):
