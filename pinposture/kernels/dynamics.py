@@ -315,6 +315,32 @@ def move_bodies_by(joints: Joints, bodies: Bodies, upward: Three, lanes: int, ro
 
 
 @inlined
+def push_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> None:
+    """Compute the torques that accelerate placed bodies from rest; as `move_bodies_by` without speeds."""
+    rows[0, SPIN_RATE * lanes : FORCE * lanes] = 0.0
+    for u in range(len(joints.kinds)):
+        row = rows[u + 1]
+        copy_lanes(rows[joints.parents[u]], SPIN_RATE, 6, lanes, row)
+        mass = bodies.masses[u]
+        slides = joints.kinds[u] == SLIDES
+        for w in range(lanes):
+            change = scale(get(row, AXIS, lanes, w), row[CHANGE * lanes + w])
+            spin_rate = get(row, OTHER, lanes, w)
+            origin = add(get(row, OTHER + 3, lanes, w), cross(spin_rate, get(row, LEVER, lanes, w)))
+            if slides:
+                origin = add(origin, change)
+            else:
+                spin_rate = add(spin_rate, change)
+            center = get(row, CENTER, lanes, w)
+            force = scale(add(origin, cross(spin_rate, center)), mass)
+            put(row, SPIN_RATE, lanes, w, spin_rate)
+            put(row, ACCELERATION, lanes, w, origin)
+            put(row, FORCE, lanes, w, force)
+            put(row, MOMENT, lanes, w, add(cross(center, force), turned_by(row, lanes, w, spin_rate)))
+    sum_forces(joints, lanes, rows)
+
+
+@inlined
 def lift_bodies(joints: Joints, bodies: Bodies, upward: Three, lanes: int, rows: Array2) -> None:
     """Compute the torques of placed bodies at rest; as `move_bodies_by` without motion."""
     for u in range(len(joints.kinds)):
@@ -490,7 +516,6 @@ def path_torques(
     pieces = len(offsets) - 1
     samples = len(filled.a)
     rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * LANES))
-    none = np.zeros((1, nv))
     positions = np.empty((LANES, nv))
     velocities = np.empty((LANES, nv))
     accelerations = np.empty((LANES, nv))
@@ -518,9 +543,8 @@ def path_torques(
         turn_inertias(bodies, LANES, rows)
         lift_bodies(joints, bodies, upward, LANES, rows)
         unload_lanes(joints, first, LANES, rows, filled.c)
-        load_lanes(joints, none, 0, SPEED, LANES, rows)
         load_lanes(joints, accelerations, 0, CHANGE, LANES, rows)
-        move_bodies_by(joints, bodies, floating, LANES, rows)
+        push_bodies(joints, bodies, LANES, rows)
         unload_lanes(joints, first, LANES, rows, filled.a)
         load_lanes(joints, velocities, 0, SPEED, LANES, rows)
         load_lanes(joints, changes, 0, CHANGE, LANES, rows)

@@ -413,7 +413,7 @@ def torque_rows(
         raise InvalidValue("limits.dt", None, "a cycle time, as torques depend on it")
     moved = np.abs(np.diff(path.offsets, axis=0))
     pieces = len(moved)
-    turns = (moved / arm.joint_units).sum(axis=1).max()
+    turns = (moved @ (1.0 / arm.joint_units)).max()
     sections = max(int(np.ceil(turns / PATH.sampled_turn)), 1)
     sampled = max(pieces * sections, PATH.least_samples)
     samples = arm.dynamics.path_torques(path.positions, path.offsets, path.slopes, samples=sampled + 1, dt=dt)
@@ -437,6 +437,8 @@ def torque_rows(
 def _friction(arm: Arm, bounds: JointBounds) -> Array:
     """Return the torque that friction may take, (nv,) [N m or N]."""
     viscous = arm.dynamics.damping
+    if not viscous.any():
+        return arm.dynamics.dry_friction
     speed = np.where(viscous > 0.0, bounds.bound / cast(float, bounds.dt), 0.0)
     if np.any(np.isinf(speed)):
         joint = arm.joint_names[int(np.argmax(speed))]
