@@ -245,3 +245,25 @@ def test_what_falls_out_of_the_arm_fails_the_verdict_and_what_stays_does_not(nam
     assert (f"{name} slips" in ended.verdict) == falls
     again = pp.load(pp.save(ended, tmp_path / "simulation"))
     assert again.slipped == ended.slipped
+
+
+@pytest.mark.long
+def test_an_arm_that_leans_rests_with_the_torques_that_its_support_is_told_to_need():
+    bar = pp.ModuleTemplate("Bar", [pp.JointSpec("y")], [0.3])
+    arm = pp.Arm.from_modules([bar] * 2)
+    weight = np.abs(arm.at(arm.straight()).gravity_torques)
+    arm = arm.with_effort(weight[0] / 1.3)
+    ball = pp.Sphere((0.5, 0.0, -0.04), 0.03)
+    scene = pp.Scene({"ball": ball}, arm_radius=0.01, self_collision=False, touchable=["ball"])
+    support = pp.assess_support(arm, arm.straight(), scene, friction=0.0)
+    assert support.share < 0.2 < 1.0 < support.alone
+    servos = sim.Servos(2.0)  # stiff ones would bear what the contact yields
+    # The servos exert these torques where the arm is straight.
+    sent = np.linspace(arm.straight(), support.torques / servos.stiffness(arm), 10)
+    contact = sim.ContactModel(friction=0.0)
+    leaning = sim.simulate(arm, sent, scene=scene, contact=contact, servos=servos, dt=0.01, hold=3.0)
+    assert np.abs(leaning.q[-1]).max() < 0.01
+    np.testing.assert_allclose(leaning.torques[-1], support.torques, atol=0.01 * weight[0])
+    assert np.abs(leaning.torques[-1]).max() < arm.effort[0]
+    force = (weight[0] + support.torques[0]) / 0.5
+    np.testing.assert_allclose(np.abs(leaning.contacts.forces[-1, 0]), [0.0, 0.0, force], atol=0.01 * force)
