@@ -50,7 +50,7 @@ _KERNELS = {
     "modules": "module_crossings module_faces module_forward module_inverse neighbours place_modules",
     "occupancy": "cast_rays clear_capsules find_surface forget_cells place_pixels read_cells",
     "path_following": (
-        "advance fill_torque_rows find_speed_profile joint_distance look_ahead next_path_speed "
+        "advance fill_torque_rows find_speed_profile find_stop joint_distance look_ahead next_path_speed "
         "path_offset position_excess shorten_step smooth_offsets spline_slopes step_along step_box "
         "step_on_profile step_to stoppable_steps sum_point_errors"
     ),

@@ -471,6 +471,30 @@ def next_path_speed(
     return min(max(fastest, min(rate - max(loss, before - wanted), wanted + rate)), left)
 
 
+@compiled
+def find_stop(path: TimedPathArrays, place: float, speed: float, places: Array1) -> int:
+    """Find the places at which steps end that stop an arm on a path, as fast as its limits allow.
+
+    Args:
+        path: the path.
+        place: where the arm is, in waypoints.
+        speed: number of waypoints in its last step.
+        places: filled with that place, and the ends of the steps, in waypoints.
+
+    Returns:
+        Number of places that are filled.
+    """
+    rest = np.zeros_like(path.top)
+    places[0] = place
+    count = 1
+    while speed > 0.0 and count < len(places):
+        here = places[count - 1]
+        speed = next_path_speed(here, speed, path.small, path.most, path.parts, path.rows, rest)
+        places[count] = here + max(speed, 0.0)
+        count += 1
+    return count
+
+
 @subkernel
 def _stoppable_step(room: float, brake: float) -> float:
     """Return the largest step from which a joint can still stop within its room; g in `control.limits`."""

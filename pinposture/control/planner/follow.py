@@ -695,17 +695,9 @@ def stop_on_path(
 
 def stopping_on_path(progress: PathProgress) -> Array:
     """Return the steps that stop an arm on its path, as `stop_on_path` takes them, (k, nv) [rad or m]."""
-    path = progress.timed.path
-    arrays = progress.timed.arrays
-    none = np.zeros_like(arrays.top)
-    places = [progress.place]
-    speed = progress.speed
-    while speed > 0.0 and len(places) <= MAX_STOPPING_STEPS:
-        speed = kernels.next_path_speed(
-            places[-1], speed, arrays.small, arrays.most, arrays.parts, arrays.rows, none
-        )
-        places.append(places[-1] + max(speed, 0.0))
-    return np.diff(path.smooth_offset(np.array(places)), axis=0)
+    places = np.empty(MAX_STOPPING_STEPS + 1)
+    count = kernels.find_stop(progress.timed.arrays, progress.place, progress.speed, places)
+    return np.diff(progress.timed.path.smooth_offset(places[:count]), axis=0)
 
 
 def _clear_stop(
