@@ -30,7 +30,9 @@ class Dynamics:
     def __init__(self, model: pin.Model, chain: tuple[str, ...]) -> None:
         """Read them from a model, base placement applied, with the names of the joints of its chain."""
         self.damping = np.array(model.damping)
-        self.dry_friction = np.maximum(model.upperDryFrictionLimit, -np.asarray(model.lowerDryFrictionLimit))
+        self.dry_friction: Array = np.maximum(
+            model.upperDryFrictionLimit, -np.asarray(model.lowerDryFrictionLimit)
+        )
         placements = neutral_placements(model)
         numbers = list(range(1, model.njoints))
         joints = read_joints(model, placements)
