@@ -414,13 +414,13 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _without_closed_form(arm: Arm) -> str:
     """Describe the first module without closed-form kinematics, with the reason; empty if there is none."""
-    from pinposture.placement.module_kinematics import arm_units
+    from pinposture.placement.module_kinematics import joint_groups
 
     try:
-        units = arm_units(arm)
+        groups = joint_groups(arm)
     except UnsupportedModule as error:
         return str(error)
-    numeric = next((unit for unit in units if unit.reason), None)
+    numeric = next((group for group in groups if group.reason), None)
     if numeric is None:
         return ""
     joints = arm.module_joints[numeric.module]

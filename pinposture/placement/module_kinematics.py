@@ -406,14 +406,14 @@ class NumericModule:
 
 
 @dataclass(frozen=True, eq=False)
-class Unit:
+class JointGroup:
     """Consecutive joints of an arm that are placed together.
 
     Attributes:
         module: index of the module they belong to, 0-based.
         joints: indices into the chain.
         first: index into `Arm.columns` of their first degree of freedom.
-        base: base of the unit at the neutral configuration, (3,) [m], world frame.
+        base: base of the group at the neutral configuration, (3,) [m], world frame.
         frame: axes of its base frame as columns, (3, 3), world frame.
         kinematics: its kinematics.
         reason: why these are numeric; empty if they are not.
@@ -433,7 +433,7 @@ class Unit:
         return slice(self.first, self.first + self.kinematics.dof)
 
 
-def arm_units(arm: Arm) -> tuple[Unit, ...]:
+def joint_groups(arm: Arm) -> tuple[JointGroup, ...]:
     """Return the kinematics that place the modules of an arm one by one, from base to tip.
 
     Registered kinematics take precedence. A module with two perpendicular hinges is a `Torus`, one with a
@@ -444,31 +444,31 @@ def arm_units(arm: Arm) -> tuple[Unit, ...]:
     Raises:
         UnsupportedModule: no joint of a module moves its end.
     """
-    return _units(arm).units
+    return _joint_groups(arm).groups
 
 
-class UnitRun(NamedTuple):
-    """Units that one call places: consecutive ones with closed forms in the library, or any other one.
+class GroupRun(NamedTuple):
+    """Groups that one call places: consecutive ones with closed forms in the library, or any other one.
 
     Attributes:
-        units: the units.
+        groups: the groups.
         numbers: the closed form, first joint and module of each, (n, 3); empty without closed forms.
         shapes: its lengths, sense and base frame as `kernels.place_modules` takes them, (n, 12); empty too.
     """
 
-    units: tuple[Unit, ...]
+    groups: tuple[JointGroup, ...]
     numbers: NDArray[np.int64]
     shapes: Array
 
     @property
     def in_closed_form(self) -> bool:
-        """Whether these are units with closed forms."""
+        """Whether these are groups with closed forms."""
         return len(self.numbers) > 0
 
     @property
     def inputs(self) -> slice:
-        """Degrees of freedom from the first unit to the last as a range into `Arm.columns`."""
-        return slice(self.units[0].first, self.units[-1].inputs.stop)
+        """Degrees of freedom from the first group to the last as a range into `Arm.columns`."""
+        return slice(self.groups[0].first, self.groups[-1].inputs.stop)
 
     def shapes_in(self, turn: Array) -> Array:
         """Return the shapes with all base frames turned by a rotation (3, 3), (n, 12)."""
@@ -477,74 +477,74 @@ class UnitRun(NamedTuple):
         return turned
 
 
-class _Units(NamedTuple):
-    """The units of an arm, and data derived from them."""
+class _JointGroups(NamedTuple):
+    """The groups of an arm, and data derived from them."""
 
     registry: int  # state of the registry for which they are valid
-    units: tuple[Unit, ...]
+    groups: tuple[JointGroup, ...]
     names: tuple[str, ...]  # kinematics of each module
-    runs: tuple[UnitRun, ...]
+    runs: tuple[GroupRun, ...]
 
 
-def _units(arm: Arm) -> _Units:
-    known: _Units | None = arm.cache.get(arm_units)
+def _joint_groups(arm: Arm) -> _JointGroups:
+    known: _JointGroups | None = arm.cache.get(joint_groups)
     if known is None or known.registry != registry_state():
-        units = _find_units(arm)
-        named = {unit.module: type(unit.kinematics).__name__ for unit in units}
+        groups = _find_groups(arm)
+        named = {group.module: type(group.kinematics).__name__ for group in groups}
         names = tuple(named[module] for module in range(arm.n_modules))
-        runs = tuple(_run_of(tuple(group)) for group in _divide(arm, units))
-        known = arm.cache[arm_units] = _Units(registry_state(), units, names, runs)
+        runs = tuple(_run_of(tuple(run)) for run in _divide(arm, groups))
+        known = arm.cache[joint_groups] = _JointGroups(registry_state(), groups, names, runs)
     return known
 
 
-def _divide(arm: Arm, units: Sequence[Unit]) -> list[list[Unit]]:
-    """Divide units into runs; joints between those of a run, which move no end, can be at zero."""
+def _divide(arm: Arm, groups: Sequence[JointGroup]) -> list[list[JointGroup]]:
+    """Divide groups into runs; joints between those of a run, which move no end, can be at zero."""
     lower = arm.limits.lower[arm.columns]
     upper = arm.limits.upper[arm.columns]
-    runs: list[list[Unit]] = []
+    runs: list[list[JointGroup]] = []
     stop = 0
-    for unit in units:
-        between = slice(stop, unit.first)
+    for group in groups:
+        between = slice(stop, group.first)
         at_zero = np.all((lower[between] <= 0.0) & (upper[between] >= 0.0))
-        before = runs[-1][-1] if runs else unit
-        both = isinstance(before.kinematics, ClosedForm) and isinstance(unit.kinematics, ClosedForm)
+        before = runs[-1][-1] if runs else group
+        both = isinstance(before.kinematics, ClosedForm) and isinstance(group.kinematics, ClosedForm)
         if runs and both and at_zero:
-            runs[-1].append(unit)
+            runs[-1].append(group)
         else:
-            runs.append([unit])
-        stop = unit.inputs.stop
+            runs.append([group])
+        stop = group.inputs.stop
     return runs
 
 
-def _run_of(units: tuple[Unit, ...]) -> UnitRun:
-    """Return units as a run."""
-    closed = [(unit, unit.kinematics) for unit in units if isinstance(unit.kinematics, ClosedForm)]
-    rows = [(form.form, unit.first, unit.module) for unit, form in closed]
-    shapes = [np.concatenate([form.shape, unit.frame.ravel()]) for unit, form in closed]
-    return UnitRun(units, np.array(rows, dtype=np.int64).reshape(-1, 3), np.array(shapes).reshape(-1, 12))
+def _run_of(groups: tuple[JointGroup, ...]) -> GroupRun:
+    """Return groups as a run."""
+    closed = [(group, group.kinematics) for group in groups if isinstance(group.kinematics, ClosedForm)]
+    rows = [(form.form, group.first, group.module) for group, form in closed]
+    shapes = [np.concatenate([form.shape, group.frame.ravel()]) for group, form in closed]
+    return GroupRun(groups, np.array(rows, dtype=np.int64).reshape(-1, 3), np.array(shapes).reshape(-1, 12))
 
 
 def kinematics_names(arm: Arm) -> tuple[str, ...]:
     """Return the name of the kinematics of each module of an arm, (m,).
 
     Raises:
-        UnsupportedModule: as `arm_units`.
+        UnsupportedModule: as `joint_groups`.
     """
-    return _units(arm).names
+    return _joint_groups(arm).names
 
 
-def unit_runs(arm: Arm) -> tuple[UnitRun, ...]:
-    """Return the units of an arm by the calls that place them.
+def group_runs(arm: Arm) -> tuple[GroupRun, ...]:
+    """Return the groups of an arm by the calls that place them.
 
     Raises:
-        UnsupportedModule: as `arm_units`.
+        UnsupportedModule: as `joint_groups`.
     """
-    return _units(arm).runs
+    return _joint_groups(arm).runs
 
 
 def is_compiled(arm: Arm) -> bool:
     """Return whether the library's closed forms place all modules, so that a single kernel call suffices."""
-    runs = _units(arm).runs
+    runs = _joint_groups(arm).runs
     return len(runs) == 1 and runs[0].in_closed_form
 
 
@@ -553,16 +553,16 @@ def has_custom_kinematics(arm: Arm) -> bool:
     return any(_registered(arm, module) is not None for module in range(arm.n_modules))
 
 
-def _find_units(arm: Arm) -> tuple[Unit, ...]:
+def _find_groups(arm: Arm) -> tuple[JointGroup, ...]:
     chain = arm.chain
-    units = list[Unit]()
+    groups = list[JointGroup]()
     registered = [_registered(arm, k) for k in range(arm.n_modules)]
     waiting = int(np.count_nonzero(arm.base_slides[chain.columns]))  # the first free joint
     base = chain.base
     for k, (joints, end) in enumerate(zip(chain.module_slices, chain.points, strict=True)):
         claimed = registered[k]
         if claimed is not None:
-            units.append(claimed)
+            groups.append(claimed)
         else:
             start = max(waiting, joints.start)
             stop = after_last_mover(chain, k, joints.start)
@@ -570,14 +570,14 @@ def _find_units(arm: Arm) -> tuple[Unit, ...]:
                 start = waiting
             if stop <= start:
                 raise UnsupportedModule(k + 1, chain.joints[joints], "none of its joints moves its end")
-            units.extend(_units_of(arm, k, slice(start, stop), base, end))
-        waiting = units[-1].joints.stop
+            groups.extend(_groups_of(arm, k, slice(start, stop), base, end))
+        waiting = groups[-1].joints.stop
         base = end
-    return tuple(units)
+    return tuple(groups)
 
 
-def _registered(arm: Arm, module: int) -> Unit | None:
-    """Return the unit of a module that has registered kinematics, or None."""
+def _registered(arm: Arm, module: int) -> JointGroup | None:
+    """Return the group of a module that has registered kinematics, or None."""
     chain = arm.chain
     joints = chain.module_slices[module]
     base = chain.base if module == 0 else chain.points[module - 1]
@@ -586,7 +586,7 @@ def _registered(arm: Arm, module: int) -> Unit | None:
     if kinematics is None:
         return None
     first = int(chain.input_numbers[joints.start])
-    return Unit(module, joints, first, described.base, described.frame, kinematics)
+    return JointGroup(module, joints, first, described.base, described.frame, kinematics)
 
 
 def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoints:
@@ -620,7 +620,7 @@ def after_last_mover(chain: Chain, module: int, start: int) -> int:
     return stop
 
 
-def _units_of(arm: Arm, module: int, joints: slice, base: Array, end: Array) -> list[Unit]:
+def _groups_of(arm: Arm, module: int, joints: slice, base: Array, end: Array) -> list[JointGroup]:
     try:
         return _closed_forms(arm, module, joints, base, end)
     except UnsupportedModule as error:
@@ -629,11 +629,11 @@ def _units_of(arm: Arm, module: int, joints: slice, base: Array, end: Array) -> 
     first = int(arm.chain.input_numbers[joints.start])
     columns = arm.columns[first : first + described.dof]
     kinematics = NumericModule(described, arm.positions(arm.straight())[columns])
-    return [Unit(module, joints, first, described.base, described.frame, kinematics, reason)]
+    return [JointGroup(module, joints, first, described.base, described.frame, kinematics, reason)]
 
 
-def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array) -> list[Unit]:
-    """Return the units with closed forms that place the end of a module.
+def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array) -> list[JointGroup]:
+    """Return the groups with closed forms that place the end of a module.
 
     Raises:
         UnsupportedModule: there are none; gives the reason.
@@ -662,28 +662,29 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
     if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > SHAPE_TOLERANCE * lengths.sum():
         raise refuse("its first joint does not sit at its base")
 
-    def unit(first: int, last: int, base: Array, frame: Array, form: ClosedForm) -> Unit:
+    def group(first: int, last: int, base: Array, frame: Array, form: ClosedForm) -> JointGroup:
         placed_joints = slice(joints.start + first, joints.start + last)
-        return Unit(module, placed_joints, int(chain.input_numbers[placed_joints.start]), base, frame, form)
+        column = int(chain.input_numbers[placed_joints.start])
+        return JointGroup(module, placed_joints, column, base, frame, form)
 
     first_link = 0.0 if universal else float(lengths[0])
     perpendicular = len(axes) == 2 and abs(axes[0] @ axes[1]) < SHAPE_TOLERANCE
     rolls = float(np.linalg.norm(np.cross(axes[0], along))) < SHAPE_TOLERANCE
     if perpendicular and rolls:
         form = RollPitch(first_link, float(lengths[1]), sense=float(np.sign(along @ axes[0])))
-        return [unit(0, 2, start, _frame(along, axes[1]), form)]
+        return [group(0, 2, start, _frame(along, axes[1]), form)]
     if np.abs(axes @ along).max() > SHAPE_TOLERANCE:
         raise refuse("it has a joint axis that is neither along nor across it")
     parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < SHAPE_TOLERANCE
     if np.all(parallel) and not universal:
         return [
-            unit(i, i + 1, stations[i], _frame(along, axes[i]), Circle(float(lengths[i])))
+            group(i, i + 1, stations[i], _frame(along, axes[i]), Circle(float(lengths[i])))
             for i in range(len(axes))
         ]
     if perpendicular:
         frame = _frame(along, axes[0])
         torus = Torus(first_link, float(lengths[1]), sense=float(np.sign(frame[:, 2] @ axes[1])))
-        return [unit(0, 2, start, frame, torus)]
+        return [group(0, 2, start, frame, torus)]
     raise refuse("its joint axes are neither parallel nor a perpendicular pair")
 
 

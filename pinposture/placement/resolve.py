@@ -34,14 +34,14 @@ from pinposture.placement.least_squares import (
 )
 from pinposture.placement.module_kinematics import (
     Circle,
+    GroupRun,
+    JointGroup,
     NumericModule,
     Torus,
-    Unit,
-    UnitRun,
+    group_runs,
     has_custom_kinematics,
     is_compiled,
     kinematics_names,
-    unit_runs,
 )
 from pinposture.placement.target import (
     IN_MILLIMETRES,
@@ -117,7 +117,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
 
 
 def _place_modules(arm: Arm, curve: Curve, samples: int, near: Target | None) -> Placement:
-    runs = unit_runs(arm)
+    runs = group_runs(arm)
     walk = Walk(arm, curve, samples, near)
     failure = None
     for run in runs:
@@ -154,14 +154,14 @@ class Walk:
         self._place = np.zeros(3)
         self._carried = 0
 
-    def place(self, run: UnitRun) -> TargetError | None:
-        """Place the next units; return the error if that fails."""
-        first = run.units[0]
+    def place(self, run: GroupRun) -> TargetError | None:
+        """Place the next groups; return the error if that fails."""
+        first = run.groups[0]
         self._carry(first.joints.start)
         base = first.base
         if self._carried:
             base = self._turn @ (base - self._arm.chain.origins[self._carried - 1]) + self._place
-        failed: tuple[Unit, TargetError] | None
+        failed: tuple[JointGroup, TargetError] | None
         if run.in_closed_form:
             failed = self._place_closed_forms(run, base)
         else:
@@ -169,9 +169,9 @@ class Walk:
         if failed is None:
             self._from_base = True
             return None
-        unit, error = failed
-        self.parameters[unit.module :] = self._curve.length
-        ahead = self._arm.columns[unit.first :]
+        group, error = failed
+        self.parameters[group.module :] = self._curve.length
+        ahead = self._arm.columns[group.first :]
         self.positions[ahead] = self._straight[ahead]
         return error
 
@@ -182,8 +182,8 @@ class Walk:
             kernels.move_frame(joints, self._carried, stop, self.positions, self._turn, self._place)
             self._carried = stop
 
-    def _place_closed_forms(self, run: UnitRun, base: Array) -> tuple[Unit, TargetError] | None:
-        """Place units with closed forms, the first of which has its base at a point, (3,) [m]."""
+    def _place_closed_forms(self, run: GroupRun, base: Array) -> tuple[JointGroup, TargetError] | None:
+        """Place groups with closed forms, the first of which has its base at a point, (3,) [m]."""
         arm = self._arm
         columns = arm.columns
         lower = arm.limits.lower[columns]
@@ -193,26 +193,26 @@ class Walk:
         stopped, state = self._call_kernel(run, base, lower, upper, placed, self.parameters)
         self.positions[columns] = placed
         if stopped < 0:
-            self._parameter = float(self.parameters[run.units[-1].module])
+            self._parameter = float(self.parameters[run.groups[-1].module])
             return None
-        unit = run.units[stopped]
+        group = run.groups[stopped]
         exceeded = ""
         if state[8]:  # on the curve, but not within its joint limits: by how much are they exceeded?
-            inputs = unit.inputs
+            inputs = group.inputs
             wide_lower = lower.copy()
             wide_upper = upper.copy()
             wide_lower[inputs] = -np.inf
             wide_upper[inputs] = np.inf
             self._call_kernel(run, base, wide_lower, wide_upper, placed, np.empty(arm.n_modules))
             excess = np.maximum(lower - placed, placed - upper)[inputs]
-            worst = unit.first + int(np.argmax(excess))
+            worst = group.first + int(np.argmax(excess))
             allowed = f"{lower[worst]:.4g} to {upper[worst]:.4g} rad"
             name = arm.chain.input_names[worst]
             exceeded = f": joint {name!r} would be at {placed[worst]:.4g} rad, allowed: {allowed}"
-        return unit, _failure(arm, self._curve, unit, state, exceeded)
+        return group, _failure(arm, self._curve, group, state, exceeded)
 
     def _call_kernel(
-        self, run: UnitRun, base: Array, lower: Array, upper: Array, placed: Array, parameters: Array
+        self, run: GroupRun, base: Array, lower: Array, upper: Array, placed: Array, parameters: Array
     ) -> tuple[int, Array]:
         """Call `kernels.place_modules`; return its result and the final state, (9,)."""
         state = np.empty(9)
@@ -234,30 +234,30 @@ class Walk:
         )
         return stopped, state
 
-    def _place_one(self, unit: Unit, base: pin.SE3) -> tuple[Unit, TargetError] | None:
-        """Place a unit without a closed form in the library."""
-        kinematics = unit.kinematics
-        columns = self._arm.columns[unit.inputs]
+    def _place_one(self, group: JointGroup, base: pin.SE3) -> tuple[JointGroup, TargetError] | None:
+        """Place a group without a closed form in the library."""
+        kinematics = group.kinematics
+        columns = self._arm.columns[group.inputs]
         placed: tuple[float, Array] | TargetError
         if isinstance(kinematics, NumericModule):
             placed = kinematics.place(base, self._curve, self._parameter, self.positions[columns])
             if not placed[0] >= 0.0:
-                placed = self._no_place(unit, base, placed[0] == -1.0)
+                placed = self._no_place(group, base, placed[0] == -1.0)
         else:
-            placed = self._by_your_own(unit, kinematics, base)
+            placed = self._by_your_own(group, kinematics, base)
         if isinstance(placed, TargetError):
-            return unit, placed
+            return group, placed
         self._parameter, self.positions[columns] = placed
-        self.parameters[unit.module] = self._parameter
+        self.parameters[group.module] = self._parameter
         return None
 
     def _by_your_own(
-        self, unit: Unit, kinematics: ModuleKinematics, base: pin.SE3
+        self, group: JointGroup, kinematics: ModuleKinematics, base: pin.SE3
     ) -> tuple[float, Array] | TargetError:
         arm = self._arm
         s = self._parameter
         name = type(kinematics).__name__
-        columns = arm.columns[unit.inputs]
+        columns = arm.columns[group.inputs]
         lower = arm.limits.lower[columns]
         upper = arm.limits.upper[columns]
         for _ in range(MAX_ASKED):
@@ -273,15 +273,15 @@ class Walk:
                     raise InvalidValue(f"{name}.inverse(p)", q.tolist(), allowed)
                 if np.all((q >= lower - OWN_TOLERANCE) & (q <= upper + OWN_TOLERANCE)):
                     return s, np.clip(q, lower, upper)
-        return self._no_place(unit, base, False)
+        return self._no_place(group, base, False)
 
-    def _no_place(self, unit: Unit, base: pin.SE3, in_reach: bool) -> TargetError:
+    def _no_place(self, group: JointGroup, base: pin.SE3, in_reach: bool) -> TargetError:
         """Explain why there is no point for a module; `in_reach` if the curve ends within its reach."""
         curve = self._curve
         at = self._parameter
-        module = unit.module + 1
+        module = group.module + 1
         left = curve.length - at
-        reach = unit.kinematics.reach
+        reach = group.kinematics.reach
         gap = float(np.linalg.norm(curve.at(at) - base.translation))
         to_end = float(np.linalg.norm(curve.at(curve.length) - base.translation))
         if in_reach or (left < reach and to_end < reach):
@@ -291,21 +291,21 @@ class Walk:
             text = f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
             return CurveLeavesTooSharply(module, at, text)
         text = "no posture within its joint limits puts its end on the curve"
-        kind = CurveLeavesTooSharply if unit.module == 0 else CurveBendsTooMuch
+        kind = CurveLeavesTooSharply if group.module == 0 else CurveBendsTooMuch
         return kind(module, at, f"{text}; {GENTLER}")
 
 
-def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) -> TargetError:
-    """Explain why a unit could not be placed, from the state after `kernels.place_modules`."""
+def _failure(arm: Arm, curve: Curve, group: JointGroup, state: Array, exceeded: str) -> TargetError:
+    """Explain why a group could not be placed, from the state after `kernels.place_modules`."""
     first = state[1:4]
     last = state[4:7]
     beyond = bool(state[7])
     crossings = int(state[8])
-    module = unit.module + 1
+    module = group.module + 1
     at = float(state[0])
     slack = ON_CURVE * arm.length
-    reach = unit.kinematics.reach
-    off_axis = unit.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0])) > 1e-6
+    reach = group.kinematics.reach
+    off_axis = group.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), group.frame[:, 0])) > 1e-6
     left = curve.length - at
     if (crossings and left < reach - slack) or not (
         crossings or beyond
@@ -325,7 +325,7 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array, exceeded: str) ->
     if gap > reach:
         text = f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
         return CurveLeavesTooSharply(module, at, text)
-    if unit.kinematics.dof == 1 and abs(last[1]) > slack:
+    if group.kinematics.dof == 1 and abs(last[1]) > slack:
         text = f"the curve is {length_text(abs(last[1]))} off the plane in which the module moves"
         return CurveBendsTooMuch(module, at, f"{text}; use a planar curve in that plane, or two hinges")
     direction = last / np.linalg.norm(last)

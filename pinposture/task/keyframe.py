@@ -30,7 +30,7 @@ from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
-from pinposture.placement.module_kinematics import is_compiled, unit_runs
+from pinposture.placement.module_kinematics import group_runs, is_compiled
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
 from pinposture.placement.target import beginning, fitting_slides, length_misfit
 from pinposture.schema import (
@@ -761,7 +761,7 @@ class SequentialFollower:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._run = unit_runs(arm)[0]
+        self._run = group_runs(arm)[0]
         self._lower = arm.limits.lower[arm.columns]
         self._upper = arm.limits.upper[arm.columns]
         self._base = np.array(arm.chain.base)

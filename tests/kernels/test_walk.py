@@ -15,7 +15,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.placement.module_kinematics import unit_runs
+from pinposture.placement.module_kinematics import group_runs
 
 STANDS = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -0.2, 0.7]))
 MIXED = [
@@ -40,9 +40,9 @@ def arm_called(name: str) -> pp.Arm:
 
 
 def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> int:
-    """Compare the two; the index of the unit without a place, or -1."""
-    (run,) = unit_runs(arm)
-    units = run.numbers
+    """Compare the two; the index of the group without a place, or -1."""
+    (run,) = group_runs(arm)
+    groups = run.numbers
     shapes = run.shapes
     lower = arm.limits.lower[arm.columns]
     upper = arm.limits.upper[arm.columns]
@@ -51,17 +51,17 @@ def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> 
     positions = np.zeros(len(lower))
     parameters = np.zeros(arm.n_modules)
     stopped = kernels.place_modules(
-        *curve.measured, samples, units, shapes, lower, upper, state, positions, parameters
+        *curve.measured, samples, groups, shapes, lower, upper, state, positions, parameters
     )
-    expected = walk(arm, units, shapes, curve, samples, parameter, start)
+    expected = walk(arm, groups, shapes, curve, samples, parameter, start)
     assert stopped == expected.stopped
     # Modules that multiply angles by l1 / l2 multiply rounding too.
     # A link that is folded back is turned by half a turn, either way.
     apart = np.angle(np.exp(1j * (positions - expected.positions)))
     np.testing.assert_allclose(apart, 0.0, atol=1e-6)
     ends = np.zeros(arm.n_modules)
-    placed = len(units) if stopped < 0 else stopped
-    ends[units[:placed, 2]] = expected.parameters[:placed]
+    placed = len(groups) if stopped < 0 else stopped
+    ends[groups[:placed, 2]] = expected.parameters[:placed]
     np.testing.assert_allclose(parameters, ends, atol=1e-8 * curve.length)
     if stopped >= 0:
         assert bool(state[7]) == expected.beyond

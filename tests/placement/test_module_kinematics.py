@@ -23,7 +23,7 @@ from pinposture.placement import (
     Torus,
     curve_crossings,
 )
-from pinposture.placement.module_kinematics import arm_units, module_joints
+from pinposture.placement.module_kinematics import joint_groups, module_joints
 
 J = pp.JointSpec
 angles = st.floats(-np.pi, np.pi)
@@ -69,7 +69,7 @@ CLOSED = {
 def numeric(kind: str) -> NumericModule:
     """The kinematics of the middle module of three."""
     arm = pp.Arm.from_modules([NUMERIC[kind]] * 3)
-    kinematics = arm_units(arm)[1].kinematics
+    kinematics = joint_groups(arm)[1].kinematics
     assert isinstance(kinematics, NumericModule)
     return kinematics
 
@@ -179,7 +179,7 @@ def test_disks_that_stretch_come_to_the_arc_too() -> None:
 def test_numeric_fk_is_that_of_pinocchio(kind: str) -> None:
     placement = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
     arm = pp.Arm.from_modules([NUMERIC[kind]] * 3, base_placement=placement)
-    units = arm_units(arm)
+    groups = joint_groups(arm)
     rng = np.random.default_rng(0)
     for _ in range(3):
         q = arm.random(rng)
@@ -188,14 +188,14 @@ def test_numeric_fk_is_that_of_pinocchio(kind: str) -> None:
         # of the body before, which the neutral arm has at the identity
         turn = np.eye(3)
         place = np.zeros(3)
-        for unit in units:
-            base = turn @ unit.base + place
-            frame = turn @ unit.frame
-            at, facing = unit.kinematics.forward(positions[arm.columns[unit.inputs]])
+        for group in groups:
+            base = turn @ group.base + place
+            frame = turn @ group.frame
+            at, facing = group.kinematics.forward(positions[arm.columns[group.inputs]])
             end = base + frame @ at
-            np.testing.assert_allclose(end, state.points[unit.module], atol=1e-12)
-            turn = frame @ facing @ unit.frame.T
-            place = end - turn @ arm.chain.points[unit.module]
+            np.testing.assert_allclose(end, state.points[group.module], atol=1e-12)
+            turn = frame @ facing @ group.frame.T
+            place = end - turn @ arm.chain.points[group.module]
         np.testing.assert_allclose(
             turn @ arm.at(arm.neutral()).rotations[-1], state.rotations[-1], atol=1e-12
         )
@@ -247,9 +247,9 @@ def test_the_search_finds_the_target_point_of_the_closed_form(
     base, curve = given_curve
     for axes, form in ((("y", "z"), Torus(*lengths)), (("x", "y"), RollPitch(*lengths))):
         arm = pp.Arm.from_modules([module(*map(J, axes), lengths=lengths)] * 2)
-        unit = arm_units(arm)[1]
-        assert type(unit.kinematics) is type(form)
-        described = module_joints(arm, unit.joints, unit.base, arm.chain.points[1])
+        group = joint_groups(arm)[1]
+        assert type(group.kinematics) is type(form)
+        described = module_joints(arm, group.joints, group.base, arm.chain.points[1])
         search = NumericModule(described, np.zeros(2))
         expected = form.target_point(base, curve, 0.0)
         found = search.target_point(base, curve, 0.0)
@@ -316,16 +316,16 @@ def test_an_arc_that_can_stretch_does_so_only_where_the_curve_ends() -> None:
 def test_the_solvers_one_after_the_other_are_the_arm() -> None:
     modules = [pp.template("RyRz").with_lengths((0.03, 0.02)), pp.template("RzRz"), pp.template("RzRy")]
     arm = pp.Arm.from_modules(modules)
-    units = arm_units(arm)
+    groups = joint_groups(arm)
     q = 0.3 * np.random.default_rng(0).normal(size=arm.nv)
     turn = np.eye(3)
     point = arm.chain.base
     ends = []
-    for unit in units:
-        frame = turn @ unit.frame
-        position, end = unit.kinematics.forward(q[unit.joints])
+    for group in groups:
+        frame = turn @ group.frame
+        position, end = group.kinematics.forward(q[group.joints])
         point = point + frame @ position
-        turn = frame @ end @ unit.frame.T
+        turn = frame @ end @ group.frame.T
         ends.append(point)
-    last = [max(i for i, unit in enumerate(units) if unit.module == k) for k in range(arm.n_modules)]
+    last = [max(i for i, group in enumerate(groups) if group.module == k) for k in range(arm.n_modules)]
     np.testing.assert_allclose(np.array(ends)[last], arm.at(arm.configuration(q)).points, atol=1e-14)

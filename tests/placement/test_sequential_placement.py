@@ -24,7 +24,7 @@ from pinposture.placement import (
     register_module_kinematics,
     unregister_module_kinematics,
 )
-from pinposture.placement.module_kinematics import UnitRun, arm_units, is_compiled, unit_runs
+from pinposture.placement.module_kinematics import GroupRun, group_runs, is_compiled, joint_groups
 from pinposture.placement.resolve import Walk
 
 J = pp.JointSpec
@@ -96,9 +96,9 @@ def test_a_walk_from_unit_to_unit_is_that_of_the_kernel(name: str) -> None:
     arm = pp.Arm.from_template(name, 8, base_placement=PLACEMENT)
     target = pp.resolve_targets(arm, gentle(arm), placement="align", method="sequential")
     walk = Walk(arm, target.curve, 2000, None)
-    (run,) = unit_runs(arm)
-    for k, unit in enumerate(run.units):
-        one = UnitRun((unit,), run.numbers[k : k + 1], run.shapes[k : k + 1])
+    (run,) = group_runs(arm)
+    for k, group in enumerate(run.groups):
+        one = GroupRun((group,), run.numbers[k : k + 1], run.shapes[k : k + 1])
         assert walk.place(one) is None
     np.testing.assert_allclose(walk.positions, arm.positions(target.q), atol=1e-9)
     np.testing.assert_allclose(walk.parameters, target.parameters, atol=1e-10)
@@ -117,7 +117,7 @@ def test_rolls_and_hinges_are_placed_in_closed_form() -> None:
 
 def test_a_roll_at_the_end_of_a_module_is_placed_with_the_next() -> None:
     arm = pp.Arm.from_modules([pp.ModuleTemplate("M", (J("y"), J("x")), (0.025, 0.025))] * 10)
-    kinds = [type(unit.kinematics).__name__ for unit in arm_units(arm)]
+    kinds = [type(group.kinematics).__name__ for group in joint_groups(arm)]
     assert kinds == ["Circle", *["RollPitch"] * 9]
     # It leaves the base in the plane of the first hinge, and bends out of it later.
     points = [(0, 0, 0), (0.06, 0, 0), (0.12, 0, 0.0), (0.3, 0.05, 0.03), (0.45, 0.2, 0.05), (0.7, 0.2, 0)]
@@ -251,7 +251,7 @@ def test_registered_kinematics_cut_loaded_arms_into_modules(registered: Callable
     sizes = [len(joints) for joints in arm.module_joints]
     assert sum(sizes) == sum(before) == 12
     assert "Own (" in arm.segmentation.reason
-    kinds = [type(unit.kinematics).__name__ for unit in arm_units(arm)]
+    kinds = [type(group.kinematics).__name__ for group in joint_groups(arm)]
     assert kinds.count("Own") >= 3
     assert sizes != [12]
     target = pp.resolve_targets(arm, gentle(arm), placement="align")
