@@ -94,12 +94,11 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "placement.least_squares.refined",  # the same near a solution
     ),
     "box solvers": (
-        "control.planner.avoidance.solve",  # dense, with rows
+        "quadratic_program.solve",  # dense, with rows
         "kernels.branch_search.correct",
         "kernels.chain_solver.minimise_in_box",  # along the chain
         "kernels.constrained_step.minimise_with_rows",  # by the one before, with rows
         "kernels.path_relaxation.step_waypoints",
-        "placement.least_squares.refined",
     ),
     "finders of a goal": (
         "control.planner.damped_least_squares.find_positions_near",  # within a cycle
@@ -120,6 +119,7 @@ ORDER = (
     ("schema",),
     ("toml",),
     ("document",),
+    ("quadratic_program",),
     ("kernels",),
     ("curve",),
     ("arm",),

@@ -26,10 +26,11 @@ from rich.markup import escape
 from rich.table import Table
 
 import pinposture as pp
+from pinposture import quadratic_program
 from pinposture.arm import smooth_configuration
 from pinposture.collision import Scene, Sphere
 from pinposture.control import Geodesic, JointPosture
-from pinposture.control.planner import avoidance, damped_least_squares
+from pinposture.control.planner import damped_least_squares
 
 Array = np.ndarray
 SITUATIONS = ("free", "joint limits", "acceleration", "obstacles")
@@ -54,7 +55,7 @@ def recorded(modules: int, situation: str) -> list[Program]:
 
     def spying(*asked):
         nonlocal count, stride
-        solution, count = avoidance.solve(*asked), count + 1
+        solution, count = quadratic_program.solve(*asked), count + 1
         if count % stride == 0 and not solution.softened:
             found.append(arranged(*asked))
             if len(found) > 2 * KEPT:
@@ -64,7 +65,7 @@ def recorded(modules: int, situation: str) -> list[Program]:
     damped_least_squares.solve = spying  # type: ignore[attr-defined]
     for seed in range(RUNS):
         run(modules, situation, np.random.default_rng(seed))
-    damped_least_squares.solve = avoidance.solve  # type: ignore[attr-defined]
+    damped_least_squares.solve = quadratic_program.solve  # type: ignore[attr-defined]
     return found
 
 
@@ -72,7 +73,7 @@ def arranged(hessian: Array, gradient: Array, lower: Array, upper: Array, rows=N
     """The arguments of `program.solve` with rows of length 1; equations do not occur here."""
     matrix, least = (np.zeros((0, len(gradient))), np.zeros(0)) if rows is None else rows
     lengths = np.maximum(np.linalg.norm(matrix, axis=1), 1e-12)
-    high = np.r_[upper, np.full(len(least), avoidance.ROW_PROGRAM.no_bound)]
+    high = np.r_[upper, np.full(len(least), quadratic_program.ROW_PROGRAM.no_bound)]
     return Program(hessian, gradient, matrix / lengths[:, None], np.r_[lower, least / lengths], high)
 
 
@@ -104,9 +105,13 @@ def run(modules: int, situation: str, rng: np.random.Generator) -> None:
 
 def with_daqp(p: Program, last: Array | None) -> Array | None:
     """As `program.solve` calls it."""
-    options = {"primal_tol": avoidance.ROW_PROGRAM.tolerance, "eq_reduction": -1, "primal_start": last}
+    options = {
+        "primal_tol": quadratic_program.ROW_PROGRAM.tolerance,
+        "eq_reduction": -1,
+        "primal_start": last,
+    }
     x, _, flag, _ = daqp.solve(p.H, p.g, p.M, p.high, p.low, None, **options)
-    return x if flag == avoidance.SOLVED else None
+    return x if flag == quadratic_program.SOLVED else None
 
 
 def with_proxqp(p: Program, last: Array | None) -> Array | None:

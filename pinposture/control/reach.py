@@ -25,7 +25,6 @@ from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
-from pinposture.control.planner.avoidance import solve
 from pinposture.control.planner.damped_least_squares import Rating, damped_hessian, descend
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
@@ -34,6 +33,7 @@ from pinposture.control.torque_limits import TorqueLimits
 from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, raise_together
 from pinposture.placement import Target
 from pinposture.placement.points import POSTURE_SEARCH
+from pinposture.quadratic_program import solve
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]

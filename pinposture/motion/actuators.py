@@ -29,10 +29,10 @@ from pinposture._validation import (
 )
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.control.planner.avoidance import ROW_PROGRAM, solve
 from pinposture.errors import InvalidValue, enumerated
 from pinposture.motion.arrival import FULL
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
+from pinposture.quadratic_program import ROW_PROGRAM, solve
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, declared
 
 Array = NDArray[np.float64]

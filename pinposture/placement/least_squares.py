@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.placement.target import fitting_slides
+from pinposture.quadratic_program import solve
 
 # The squared distances of all control points from their points on the curve are minimised over the joint
 # positions and the arc lengths of these points. Least squares alone may wind in the wrong direction, so the
@@ -583,7 +584,7 @@ def refined(
     weight: float = 0.0,
     reach: float = np.inf,
 ) -> Array:
-    """Find the minimum near an initial guess, by Levenberg-Marquardt steps within the bounds.
+    """Find the minimum near an initial guess, by Levenberg-Marquardt steps that are exact within the bounds.
 
     Args:
         problem: the problem to minimise.
@@ -607,10 +608,12 @@ def refined(
         gradient = jacobian.T @ residual + weight * (x - anchor)
         hessian = jacobian.T @ jacobian
         hessian[np.diag_indices(len(x))] += weight + damping * stiffness(problem, hessian)
-        free = np.flatnonzero(~(((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))))
-        step = np.zeros(len(x))
-        step[free] = np.linalg.solve(hessian[np.ix_(free, free)], -gradient[free])
-        step *= min(1.0, REFINEMENT.largest_step / max(float(np.abs(step).max()), 1e-300))
+        least = np.maximum(lower - x, -REFINEMENT.largest_step)
+        most = np.minimum(upper - x, REFINEMENT.largest_step)
+        step = solve(hessian, gradient, least, most).x
+        if step is None:  # H is almost singular
+            damping *= REFINEMENT.damping_ratio
+            continue
         trial = np.clip(x + step, lower, upper)
         trial_residual, trial_jacobian = problem.evaluate(curve, trial)
         trial_cost = trial_residual @ trial_residual + weight * ((trial - anchor) @ (trial - anchor))

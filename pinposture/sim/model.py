@@ -33,8 +33,8 @@ from pinposture.arm.urdf import load_text, read_inertials, text_for_pinocchio
 from pinposture.arm.weight import NOTHING, REMEDY, add_masses, effort_limits, scaled
 from pinposture.collision import Scene
 from pinposture.collision.model import effective_scene
-from pinposture.control.planner.avoidance import solve
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
+from pinposture.quadratic_program import solve
 from pinposture.schema import CheckedBy, Declared, Flag, checked_number, declared, quantity
 from pinposture.sim.contact import ContactModel, add_contact
 from pinposture.units import length_text

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ChainState
 from pinposture.control.limits import StepBounds
-from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH
 from pinposture.kernels.arrays import PostureProblem
 from pinposture.placement.points import POSTURE_SEARCH, minimise_posture_errors
+from pinposture.quadratic_program import ConstraintRows, Solution, solve
 
 Array = NDArray[np.float64]
 

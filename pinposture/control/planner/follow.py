@@ -24,7 +24,7 @@ from pinposture.control.limits import (
     farthest,
     require_limits,
 )
-from pinposture.control.planner.avoidance import Avoidance, Solution
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import (
     DESCENT,
     StepConstraints,
@@ -45,6 +45,7 @@ from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
 from pinposture.placement.points import POINT_FIT, POSTURE_SEARCH
+from pinposture.quadratic_program import Solution
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, StepBounds, require_limits
-from pinposture.control.planner.avoidance import Avoidance, ClearStep, ConstraintRows, Solution, solve
+from pinposture.control.planner.avoidance import Avoidance, ClearStep
 from pinposture.control.planner.damped_least_squares import PlanningProblem, StepConstraints, solve_posture
 from pinposture.control.planner.follow import (
     FOLLOWING,
@@ -48,6 +48,7 @@ from pinposture.control.tasks import ControlTask
 from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
+from pinposture.quadratic_program import ConstraintRows, Solution, solve
 
 Array = NDArray[np.float64]
 

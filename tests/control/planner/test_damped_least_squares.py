@@ -11,7 +11,6 @@ from scipy.optimize import least_squares, nnls
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.control.planner.avoidance import ConstraintRows
 from pinposture.control.planner.damped_least_squares import (
     PlanningProblem,
     StepConstraints,
@@ -22,6 +21,7 @@ from pinposture.control.planner.objective import ChainSolver, Objective
 from pinposture.control.planner.plan import find_goal, find_path
 from pinposture.control.tasks import EndEffector
 from pinposture.errors import PostureWarning
+from pinposture.quadratic_program import ConstraintRows
 
 GOOD = 1e-9
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import daqp
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -11,7 +12,6 @@ from planner_runs import ARMS, KINDS, Case, arm_called, check_limits, drawn, ste
 from sampling import examples
 
 import pinposture as pp
-from pinposture.control.planner import avoidance
 
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = st.sampled_from(sorted(ARMS))
@@ -213,7 +213,7 @@ def test_a_low_acceleration_limit_costs_little_more_than_joint_interpolation(
 @pytest.mark.parametrize("kind", ["points", "far"])
 def test_a_poisoned_solver_breaks_no_limit(poison: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
-    honest = avoidance.daqp.solve
+    honest = daqp.solve
 
     def solve(hessian: np.ndarray, gradient: np.ndarray, *rest: object, **options: object) -> tuple:
         n = len(gradient)
@@ -224,7 +224,7 @@ def test_a_poisoned_solver_breaks_no_limit(poison: str, kind: str, monkeypatch: 
         x = {"nan": np.full(n, np.nan), "huge": np.full(n, 1e300)}.get(poison, rng.normal(size=n))
         return x, 0.0, 1, {}
 
-    monkeypatch.setattr(avoidance.daqp, "solve", solve)
+    monkeypatch.setattr(daqp, "solve", solve)
     for seed, name in enumerate(ARMS):
         case = drawn(seed, name, kind)
         run = case.track(max_steps=15)
@@ -237,9 +237,7 @@ def test_a_poisoned_solver_does_not_keep_an_unhindered_arm_from_a_known_configur
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its way needs no program."""
-    monkeypatch.setattr(
-        avoidance.daqp, "solve", lambda _, g, *__, **___: (np.full(len(g), np.nan), 0.0, 1, {})
-    )
+    monkeypatch.setattr(daqp, "solve", lambda _, g, *__, **___: (np.full(len(g), np.nan), 0.0, 1, {}))
     case = drawn(3, "planar", "known", pp.Limits())
     assert case.track().converged
 

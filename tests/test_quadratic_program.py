@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import daqp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +10,7 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 from scipy.optimize import linprog, lsq_linear, minimize, nnls
 
-from pinposture.control.planner import avoidance
-from pinposture.control.planner.avoidance import ConstraintRows, solve
+from pinposture.quadratic_program import ConstraintRows, solve
 
 SEEDS = st.integers(0, 2**32 - 1)
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -199,7 +199,7 @@ def test_the_unit_of_the_objective_does_not_matter(scale: float, step: float) ->
 def test_no_answer_rather_than_a_wrong_one(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = (np.eye(3), np.ones(3), -np.ones(3), np.ones(3))
     for answer, flag in ((np.full(3, np.nan), 1), (np.zeros(3), -2), (np.array([0.0, np.inf, 0.0]), 1)):
-        monkeypatch.setattr(avoidance.daqp, "solve", lambda *_, a=answer, f=flag, **__: (a, 0.0, f, {}))
+        monkeypatch.setattr(daqp, "solve", lambda *_, a=answer, f=flag, **__: (a, 0.0, f, {}))
         assert solve(*problem, ConstraintRows(np.ones((1, 3)), np.zeros(1))).x is None
-    monkeypatch.setattr(avoidance.daqp, "solve", lambda *_, **__: (np.array([9.0, -9.0, 0.5]), 0.0, 1, {}))
+    monkeypatch.setattr(daqp, "solve", lambda *_, **__: (np.array([9.0, -9.0, 0.5]), 0.0, 1, {}))
     np.testing.assert_array_equal(solve(*problem).x, [1.0, -1.0, 0.5])
