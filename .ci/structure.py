@@ -90,8 +90,7 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "kernels.branch_search.correct",  # ends of a few modules
         "kernels.branch_search.minimise_posture_errors",  # points
         "kernels.path_relaxation.relax_waypoints",  # one waypoint after another
-        "placement.least_squares.FitProblem",  # points on a curve, by SciPy
-        "placement.least_squares.refined",  # the same near a solution
+        "placement.least_squares.FitProblem",  # points on a curve
     ),
     "box solvers": (
         "quadratic_program.solve",  # dense, with rows

@@ -28,6 +28,7 @@ STUDIES = {
 
 SCRIPTS = (
     "coupled_joints",
+    "curve_fits",
     "drives",
     "editor",
     "failures",
@@ -50,6 +51,7 @@ SCRIPTS = (
     "steering",
     "switching",
     "thesis_claims",
+    "torque_cost",
     "torque_limits",
     "touch",
     "wrap",

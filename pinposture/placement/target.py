@@ -318,11 +318,15 @@ MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] of a curve th
 class FarthestPointSettings(NamedTuple):
     """How the point of a link that is farthest from a curve is searched."""
 
+    resolution: float = 1e-3
+    """Largest error of the distance if it has several peaks, in arm lengths."""
+
     samples: int = 4
-    """Parts of the longest link in the first round, and ratio of their number from round to round."""
+    """Samples on either side of the farthest point in a round of refinement, and ratio of their spacing
+    from round to round."""
 
     refinements: int = 5
-    """Number of search rounds."""
+    """Number of rounds of refinement."""
 
 
 FARTHEST_POINT = FarthestPointSettings()
@@ -438,28 +442,41 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
         curve: the curve, placed in the world.
 
     Returns:
-        The distance, found by successively finer sampling around the farthest point; a peak narrower than a
-        quarter of a link may be missed.
+        The distance; with several peaks that are almost as high, up to `FARTHEST_POINT.resolution` too small.
     """
     ends = arm.chain.flattened(arm.chain_at(q).links)
     starts = ends[:-1]
     links = np.diff(ends, axis=0)
-    longest = float(np.linalg.norm(links, axis=1).max())
-    parts = np.maximum(np.ceil(FARTHEST_POINT.samples * np.linalg.norm(links, axis=1) / longest), 1.0).astype(
-        int
-    )
-    link = np.repeat(np.arange(len(links)), parts + 1)
-    share = np.concatenate([np.linspace(0.0, 1.0, count + 1) for count in parts])
-    farthest = 0.0
-    for _ in range(FARTHEST_POINT.refinements):
+    lengths = np.linalg.norm(links, axis=1)
+    tolerance = FARTHEST_POINT.resolution * arm.length
+    distances = curve.nearest(ends).distance
+    best = int(np.argmax(distances))
+    farthest = float(distances[best])
+    last = len(links) - 1
+    peak = (min(best, last), float(best > last), 0.5)  # link, place on it, and distance to the next sample
+    # The distance changes by at most the way along a link, so most parts of links need no closer look.
+    half = 0.5
+    link = np.arange(len(links))
+    share = np.full(len(links), half)
+    while len(link):
         distances = curve.nearest(starts[link] + share[:, None] * links[link]).distance
         best = int(np.argmax(distances))
+        if distances[best] > farthest:
+            farthest = float(distances[best])
+            peak = (int(link[best]), float(share[best]), half)
+        higher = distances + half * lengths[link] > farthest + tolerance
+        half *= 0.5
+        link = np.repeat(link[higher], 2)
+        share = (share[higher, None] + np.array([-half, half])).ravel()
+    on, center, width = peak
+    for _ in range(FARTHEST_POINT.refinements):
+        steps = np.linspace(center - width, center + width, 2 * FARTHEST_POINT.samples + 1)
+        near = np.clip(steps, 0.0, 1.0)
+        distances = curve.nearest(starts[on] + near[:, None] * links[on]).distance
+        best = int(np.argmax(distances))
         farthest = max(farthest, float(distances[best]))
-        center = share[best]
-        width = 1.0 / parts[link[best]]
-        parts = parts * FARTHEST_POINT.samples
-        share = np.clip(np.linspace(center - width, center + width, 2 * FARTHEST_POINT.samples + 1), 0.0, 1.0)
-        link = np.full(len(share), link[best])
+        center = float(near[best])
+        width /= FARTHEST_POINT.samples
     return farthest
 
 

@@ -29,7 +29,7 @@ from pinposture.curve.curve import CurveField
 from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, raise_together, warn_caller
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
-from pinposture.placement.least_squares import FitProblem, refined, stiffness
+from pinposture.placement.least_squares import FitProblem
 from pinposture.placement.module_kinematics import group_runs, is_compiled
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
 from pinposture.placement.target import beginning, fitting_slides, length_misfit
@@ -824,9 +824,11 @@ class LeastSquaresFollower:
         filled[0] = first
         jacobian = problems[0].evaluate(curves[0], first)[1]
         cost = ROW_COSTS.viscosity**2 * count / ROW_COSTS.typical_rows
-        weight = cost * stiffness(self.problem, jacobian.T @ jacobian)
+        weight = cost * self.problem.stiffness(jacobian.T @ jacobian)
         for i in range(1, count):
             before = filled[i - 1]
             guess = before + (before - filled[i - 2] if i > 1 else 0.0)
-            filled[i] = refined(problems[i], curves[i], guess, before, weight, travel / count)
+            filled[i] = problems[i].solve(
+                curves[i], guess, before=before, weight=weight, reach=travel / count
+            )
         return filled

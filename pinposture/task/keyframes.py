@@ -23,7 +23,7 @@ from pinposture.arm import Arm
 from pinposture.control.limits import Limits
 from pinposture.control.reach import require_within_reach
 from pinposture.errors import InvalidValue, OutOfReach, warn_caller
-from pinposture.placement.least_squares import FitProblem, refined
+from pinposture.placement.least_squares import FitProblem
 from pinposture.task.keyframe import (
     CONTINUITIES,
     MOST_CYCLES,
@@ -384,7 +384,7 @@ class RowSolver:
         solved = np.append(np.arange(0, count - 1, every), count - 1)
         bent = curves.of(start.row + solved)
         problems = [problem_at(row) for row in (start.row + solved).tolist()]
-        fitted = refined(problems[0], bent[0], start.unknowns)
+        fitted = problems[0].solve(bent[0], start.unknowns)
         shift = start.unknowns - fitted
         zero = np.zeros(len(fitted))
         distance = float(np.abs(end.unknowns - fitted).max())
@@ -392,7 +392,7 @@ class RowSolver:
         forward = _filled(solved, self._follower.follow(bent, problems, fitted, travel))
         arrival = problems[-1]
         last = bent[-1]
-        goal = end.unknowns if end.pinned else refined(arrival, last, forward[-1])
+        goal = end.unknowns if end.pinned else arrival.solve(last, forward[-1])
         left = goal - forward[-1]
         best = arrival.distance(last, end.unknowns)
         met = float(np.abs(left).max()) <= TRANSITION.max_shift
@@ -416,7 +416,7 @@ class RowSolver:
         most = best + TRANSITION.max_extra_error * module
         if met and excess <= TRANSITION.equal_error and max(between) <= most:
             return forward
-        arrived = refined(arrival, last, end.unknowns)
+        arrived = arrival.solve(last, end.unknowns)
         backward = self._follower.follow(bent[::-1], problems[::-1], arrived, travel)[::-1]
         backward = _filled(solved, backward) + ramp(count, zero, end.unknowns - arrived)
         starts = np.linspace(0, count - 1 - window(count), TRANSITION.crossfade_starts)

@@ -82,7 +82,7 @@ def test_an_arm_with_rows_of_parallel_axes_follows_a_curve_in_their_plane_with_a
 @pytest.mark.long
 def test_rows_of_parallel_axes_that_turn_each_other_come_near_a_helix_and_say_how_near():
     arm = load(awkward_arms()["long_modules36"])
-    helix = pp.Curve.helix(radius=0.06 * arm.length, pitch=0.15 * arm.length, turns=4)
+    helix = pp.Curve.helix(radius=0.05 * arm.length, pitch=0.3 * arm.length, turns=3)
     target = pp.resolve_targets(arm, helix)
     away = brute_force(arm, target.q, target.curve)
     assert target.distance_from_curve(arm) == pytest.approx(away, rel=5e-3)

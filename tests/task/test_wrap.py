@@ -17,7 +17,7 @@ from pinposture.errors import FileError, InvalidValue, TaskError, UnknownName, W
 
 LIMITS = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=2.0)
 CAN = pp.Cylinder((0.42, 0.12, -0.12), (0.42, 0.12, 0.12), 0.06)
-BOX = pp.Box((0.42, 0.12, 0.0), (0.1, 0.1, 0.24), (0.0, 0.0, 0.3))
+BOX = pp.Box((0.42, 0.12, 0.0), (0.06, 0.06, 0.24), (0.0, 0.0, 0.3))
 BALL = pp.Sphere((0.42, 0.12, 0.0), 0.07)
 
 
