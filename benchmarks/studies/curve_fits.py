@@ -17,7 +17,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -108,7 +108,8 @@ def scipy_steps(problem: Any, curve: Any, guess: Array, steps: int = 60, **near:
 
     @lru_cache(maxsize=1)  # the residual and the Jacobian are requested in turn
     def evaluate(unknowns: bytes) -> tuple[Array, Array]:
-        return problem.evaluate(curve, np.frombuffer(unknowns))
+        residual, jacobian = problem.evaluate(curve, np.frombuffer(unknowns))
+        return residual, jacobian
 
     solution = scipy_least_squares(
         lambda x: evaluate(x.tobytes())[0],
@@ -120,7 +121,7 @@ def scipy_steps(problem: Any, curve: Any, guess: Array, steps: int = 60, **near:
         gtol=1e-15,
         max_nfev=steps,
     )
-    return np.clip(solution.x, problem.lower, problem.upper)
+    return np.asarray(np.clip(solution.x, problem.lower, problem.upper))
 
 
 def with_setting(name: str, factor: float, cases: list[Case]) -> list[Fit]:
@@ -183,8 +184,8 @@ def main() -> int:
     rows: dict[str, Callable[[], list[Fit]]] = {"the library": lambda: usual}
     for name in asked.settings:
         for word, factor in (("half", 0.5), ("twice", 2.0)):
-            rows[f"{word} {name}"] = lambda name=name, factor=factor: with_setting(name, factor, cases)
-    rows["scipy"] = lambda: by_scipy(cases)
+            rows[f"{word} {name}"] = partial(with_setting, name, factor, cases)
+    rows["scipy"] = partial(by_scipy, cases)
     modular = [k for k, found in enumerate(usual) if not isinstance(found.problem, least_squares.SlidingFit)]
     rows["from the minimum"] = lambda: [go_on(cases[k], usual[k]) for k in modular]
     told = {}

@@ -254,8 +254,8 @@ class Outcome(NamedTuple):
     with_plan: list[float]
     with_cut: list[float]
 
-    def count(self, taken: float, new_map: bool, plans: bool, new_target: bool) -> None:
-        """Count the time of a cycle [ms]."""
+    def add_cycle(self, taken: float, new_map: bool, plans: bool, new_target: bool) -> None:
+        """Add the time of a cycle [ms]."""
         if plans:
             (self.with_cut if new_map and not new_target else self.with_plan).append(taken)
         else:
@@ -315,7 +315,7 @@ def run(arm: pp.Arm, seed: int, unknown: Literal["free", "forbidden"] = "forbidd
         taken = 1e3 * (thread_time() - began)
         known = path
         path = path_of(tracker)
-        outcome.count(taken, new is not None, path is not known, tracker.target is not aimed)
+        outcome.add_cycle(taken, new is not None, path is not known, tracker.target is not aimed)
         for share in (0.5, 1.0):
             lowest = min(lowest, judge.gap(arm.integrate(q, share * dq)))
         q = tracker.command

@@ -120,7 +120,7 @@ class Station:
             self.window.page.keyboard.down(key)
             end = time.monotonic() + 0.5
             while time.monotonic() < end:
-                if self.control.order(time.monotonic()) is not None:
+                if self.control.order(time.monotonic()) is not None and self.cycles[-1].order is not None:
                     return
                 time.sleep(0.005)
             self.window.page.keyboard.up(key)
@@ -128,11 +128,16 @@ class Station:
 
     def braked_after(self, end: Callable[[], object]) -> float:
         """End what is held in some way; return how long after that the arm is braked [s]."""
+        before = len(self.cycles)
         begun = time.monotonic()
         end()
-        wait_until(lambda: self.cycles[-1].order is None, "nothing is held")
-        braked = next(shown for shown in self.cycles if shown.time > begun and shown.order is None)
-        return braked.time - begun
+
+        def braked() -> list[float]:
+            later = [shown for shown in self.cycles[before:] if shown.time > begun]
+            return [shown.time for shown in later if shown.order is None]
+
+        wait_until(lambda: len(braked()) > 0, "nothing is held")
+        return braked()[0] - begun
 
 
 @pytest.fixture
