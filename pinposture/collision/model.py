@@ -15,7 +15,7 @@ from pinposture._validation import SMALLEST_LENGTH, finite_vector, require_insta
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.arm import kept
 from pinposture.arm.configurations import ConfigurationSpace
-from pinposture.collision.bodies import STAND_IN_RADIUS, bodies_of, carried_bodies
+from pinposture.collision.bodies import STAND_IN_RADIUS, Body, bodies_of, carried_bodies
 from pinposture.collision.distances import (
     MotionSearch,
     NearPairs,
@@ -350,6 +350,36 @@ class Distances(NamedTuple):
     pair: Pair | None
 
 
+class _ArmBodies(NamedTuple):
+    """The bodies of an arm, which its models in all scenes have in common.
+
+    Attributes:
+        bodies: the bodies.
+        kinematics: the kinematics of its model.
+        solids: the bodies as solids, each in the frame of its joint.
+    """
+
+    bodies: tuple[Body, ...]
+    kinematics: TreeKinematics
+    solids: list[Solid]
+
+    @classmethod
+    def known(cls, arm: Arm, arm_radius: float | None) -> _ArmBodies:
+        """Return the bodies of an arm with stand-ins of a radius [m], made on first use; see `bodies_of`."""
+        return kept(arm, cls, arm_radius, partial(cls.of, arm, arm_radius))
+
+    @classmethod
+    def of(cls, arm: Arm, arm_radius: float | None) -> _ArmBodies:
+        """Return the bodies of an arm; it takes long, as its description is read."""
+        kinematics = TreeKinematics(arm.model)
+        bodies = bodies_of(arm, arm_radius)
+        return cls(bodies, kinematics, _solids_of(bodies, kinematics))
+
+
+def _solids_of(bodies: Sequence[Body], kinematics: TreeKinematics) -> list[Solid]:
+    return [body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies]
+
+
 class _Choice(NamedTuple):
     """What the models of an arm and a scene have in common, whatever obstacles move.
 
@@ -377,25 +407,25 @@ class _Choice(NamedTuple):
     @classmethod
     def of(cls, arm: Arm, scene: Scene) -> _Choice:
         """Return the choice for an arm and a scene whose obstacles have not moved yet; it takes long."""
-        parts = bodies_of(arm, scene.arm_radius)
-        bodies = (*parts, *carried_bodies(arm, scene))
+        own = _ArmBodies.known(arm, scene.arm_radius)
+        carried_along = carried_bodies(arm, scene)
+        bodies = (*own.bodies, *carried_along)
         named = [
             (name, solid) for name, obstacle in scene.standing.items() for solid in obstacle.geometry.solids()
         ]
-        kinematics = TreeKinematics(arm.model)
         objects = CollisionObjects(
             arm,
-            kinematics=kinematics,
+            kinematics=own.kinematics,
             joints=[body.joint for body in bodies],
-            solids=[body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies],
+            solids=[*own.solids, *_solids_of(carried_along, own.kinematics)],
             fixed=[solid for _, solid in named],
             depths=[scene.depth(name) for name, _ in named],
-            own=len(parts),
+            own=len(own.bodies),
         )
         moving = tuple(body.name for body in bodies)
         names = (*moving, *(name for name, _ in named))
         beside = {
-            (len(parts) + k, len(bodies) + number)
+            (len(own.bodies) + k, len(bodies) + number)
             for k, carried in enumerate(scene.carried.values())
             for number, (name, _) in enumerate(named)
             if name in carried.beside
