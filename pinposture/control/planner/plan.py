@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from math import inf
 from time import perf_counter
 from typing import NamedTuple
@@ -545,31 +546,36 @@ def _clearest_path(
 
 
 class _Candidates:
-    """The paths among which a clear one is sought, and those that were.
-
-    Attributes:
-        short: length up to which a clear path is good enough.
-    """
+    """The paths among which a clear one is sought, and those that were."""
 
     def __init__(self, search: PathSearch, tasks: RowsAlongPath | None, report: Report | None) -> None:
         self._search = search
         self._tasks = tasks
         self._report = report
-        objective, state, position_limits, _ = search.problem
-        self._most_direct = direct_path(objective, state.q, search.goal.q, position_limits)
-        self.short = PLAN.most_detour * self._most_direct.length
         self._clear: list[JointPath] = []
         self._blocked: list[tuple[tuple[float, float], JointPath]] = []
         self._searched = ""
         self._relaxed = 0
 
+    @cached_property
+    def most_direct(self) -> JointPath:
+        """The most direct path, whatever is in its way."""
+        objective, state, position_limits, _ = self._search.problem
+        return direct_path(objective, state.q, self._search.goal.q, position_limits)
+
+    @property
+    def short(self) -> float:
+        """Length up to which a clear path is good enough."""
+        return PLAN.most_detour * self.most_direct.length
+
     def find(self, attempt: int) -> Iterator[JointPath]:
         """Find candidates, in this order, as long as none is good enough.
 
-        The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
-        none is clear, further relaxed paths. The tree search comes before the first relaxation, which is left
-        out if the search finds no path and an end is trapped, or the arm has many joints. What is found is
-        told at once. With tasks, which a search would disregard, it comes after the first relaxation.
+        The most direct path, before which a straight motion of the joints is told if it is clear; one relaxed
+        among the obstacles; one found by search and then relaxed; while none is clear, further relaxed paths.
+        The tree search comes before the first relaxation, which is left out if the search finds no path and
+        an end is trapped, or the arm has many joints. What is found is told at once. With tasks, which a
+        search would disregard, it comes after the first relaxation.
         """
         search = self._search
         variant = 2 * attempt
@@ -579,7 +585,8 @@ class _Candidates:
         hopeless = False
         if self._tasks is None:
             if attempt == 0:
-                yield self._most_direct
+                self._try_straight()
+                yield self.most_direct
             searched = self._keep(search.connect(self._search_tells))
             hopeless = searched is None and (search.is_trapped or too_many)
         if not hopeless:
@@ -600,13 +607,29 @@ class _Candidates:
             self.judge(self._search.path(searched))
         return searched
 
+    def _try_straight(self) -> None:
+        """Keep the straight motion of the joints if it is clear: it is known before the most direct path."""
+        objective, state, _, _ = self._search.problem
+        change = objective.normalize(objective.arm.difference(state.q, self._search.goal.q))
+        moved = objective.displacement(change)
+        path = JointPath(objective, state.q, np.array([np.zeros(len(moved)), moved]))
+        if self._measure(path)[2]:
+            self._clear.append(path)
+            self._tell("the most direct path")
+
+    def _measure(self, path: JointPath) -> tuple[Closest, NDArray[np.bool_], bool]:
+        """Return what a path comes closest to, which pieces keep the constraints, and whether it is clear."""
+        least = self._search.least
+        closest = _closest_on(path, self._search.avoidance, least)
+        kept = self._search.avoidance.keeps_constraints(path.start, path.offsets)
+        return closest, kept, closest.distance >= least and bool(kept.all())
+
     def judge(self, path: JointPath) -> bool:
         """Keep a path; return whether it is clear."""
         least = self._search.least
         avoidance = self._search.avoidance
-        closest = _closest_on(path, avoidance, least)
-        kept = avoidance.keeps_constraints(path.start, path.offsets)
-        if closest.distance >= least and kept.all():
+        closest, kept, clear = self._measure(path)
+        if clear:
             self._clear.append(path)
             return True
         rank = min(closest.distance, least), float(kept.mean())
@@ -619,8 +642,8 @@ class _Candidates:
         """Return the shortest clear path; if there is none, the one with the largest clearance."""
         if self._clear:
             return min(self._clear, key=lambda path: path.length)
-        if not self._blocked and self.judge(self._most_direct):
-            return self._most_direct
+        if not self._blocked and self.judge(self.most_direct):
+            return self.most_direct
         _, path = max(self._blocked, key=lambda ranked: ranked[0])
         return replace(path, blocked_by=f"{self._describe_attempts()}; on the best one, {path.blocked_by}")
 
