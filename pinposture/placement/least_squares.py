@@ -44,6 +44,10 @@ class CurveFitSettings(NamedTuple):
     """Number of new starts of a fit that is not exact. With half, 3 fits end farther, in 0.8 of the time;
     with twice, 2 end closer, in 1.8 times the time."""
 
+    straight_restarts: int = 2
+    """Number of further new starts from the straight arm. Without them the roots of 400 fits add up to 8.86
+    in place of 7.77, and an arm of 21 unlike modules ends 1.19 times as far off as independent fits."""
+
     restart_noise: float = 0.3
     """Standard deviation of the perturbations of these starts [rad, or arm lengths]."""
 
@@ -183,8 +187,10 @@ def fit_curve(
     best = problem.solve(curve, unknowns, steps=CURVE_FIT.rough_steps if rough else FIT_STEPS.most)
     # If off the curve, this may be a local minimum: restart, with reproducible perturbations.
     rng = np.random.default_rng(0)
-    for _ in range(CURVE_FIT.restarts if not rough and problem.distance(curve, best) > problem.exact else 0):
-        other = problem.solve(curve, problem.perturb(best, rng))
+    inexact = not rough and problem.distance(curve, best) > problem.exact
+    for k in range(CURVE_FIT.restarts + CURVE_FIT.straight_restarts if inexact else 0):
+        begin = best if k < CURVE_FIT.restarts else problem.straight
+        other = problem.solve(curve, problem.perturb(begin, rng))
         best = min(best, other, key=lambda x: problem.distance(curve, x))
     return problem.split(best if rough else problem.closed(curve, best))
 
