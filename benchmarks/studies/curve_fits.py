@@ -5,8 +5,8 @@
     python -m benchmarks.studies.curve_fits --settings       # SciPy alone
 
 A fit counts as closer or farther if the root of its mean squared distance differs by more than a thousandth
-from that of the library as it is. Half of the arms take the curves that they are fitted to only roughly:
-curves through five points, through postures, and helices. "scipy" is `scipy.optimize.least_squares` in place
+from that of the library as it is. The curves are splines through five points, curves through postures, and
+helices; the arms can follow about half of them. "scipy" is `scipy.optimize.least_squares` in place
 of the steps of the library, "from the minimum" the same that starts where the library ended: it comes closer
 only where that was no minimum.
 """
@@ -42,12 +42,16 @@ SETTINGS = (
     "samples_per_module",
     "stage_steps",
     "restarts",
+    "straight_restarts",
     "restart_noise",
     "most",
     "largest",
     "damping_ratio",
 )
 """Settings of `CURVE_FIT` and `FIT_STEPS` that are varied."""
+
+SCIPY_EVALUATIONS = 60
+"""Largest number of evaluations by SciPy at the final curve."""
 
 library_steps = least_squares.FitProblem.solve
 
@@ -101,7 +105,7 @@ def fit(case: Case) -> Fit:
     return Fit(problem.distance(case.curve, unknowns), time, problem, unknowns)
 
 
-def scipy_steps(problem: Any, curve: Any, guess: Array, steps: int = 60, **near: Any) -> Array:
+def scipy_steps(problem: Any, curve: Any, guess: Array, steps: int | None = None, **near: Any) -> Array:
     """What `FitProblem.solve` does, by SciPy; fits with a weight or a reach stay those of the library."""
     if near:
         return library_steps(problem, curve, guess, steps, **near)
@@ -119,7 +123,7 @@ def scipy_steps(problem: Any, curve: Any, guess: Array, steps: int = 60, **near:
         ftol=problem.settled,
         xtol=1e-12,
         gtol=1e-15,
-        max_nfev=steps,
+        max_nfev=SCIPY_EVALUATIONS if steps is None else steps,
     )
     return np.asarray(np.clip(solution.x, problem.lower, problem.upper))
 
@@ -131,13 +135,10 @@ def with_setting(name: str, factor: float, cases: list[Case]) -> list[Fit]:
     value = getattr(usual, name)
     changed = max(round(factor * value), 1) if isinstance(value, int) else factor * value
     setattr(least_squares, owner, usual._replace(**{name: changed}))
-    if name == "most":  # it is also the default of an argument
-        least_squares.FitProblem.solve.__defaults__ = (changed,)
     try:
         return [fit(case) for case in cases]
     finally:
         setattr(least_squares, owner, usual)
-        least_squares.FitProblem.solve.__defaults__ = (least_squares.FIT_STEPS.most,)
 
 
 def by_scipy(cases: list[Case]) -> list[Fit]:

@@ -92,12 +92,12 @@ class DriverOptions:
         from pinposture.motion import Touch
         from pinposture.ros2 import DriverSettings, ShapeSensing
 
-        given = vars(self)
-        sensed = {name: given[name] for name in vars(ShapeSensing()) if given.get(name) is not None}
+        options = vars(self)
+        sensed = {name: options[name] for name in vars(ShapeSensing()) if options.get(name) is not None}
         if self.no_heading:
             sensed["heading"] = False
-        own = {name: value for name, value in given.items() if name in vars(DriverSettings())}
-        settings = read_declared(DriverSettings, {**own, "touch": None})
+        driving = {name: value for name, value in options.items() if name in vars(DriverSettings())}
+        settings = read_declared(DriverSettings, {**driving, "touch": None})
         touch = None if self.touch is None else read_declared(Touch, {"threshold": self.touch})
         sensing = read_declared(ShapeSensing, sensed) if sensed else None
         return replace(settings, touch=touch, sensing=sensing)

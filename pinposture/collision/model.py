@@ -407,28 +407,28 @@ class _Choice(NamedTuple):
     @classmethod
     def of(cls, arm: Arm, scene: Scene) -> _Choice:
         """Return the choice for an arm and a scene whose obstacles have not moved yet; it takes long."""
-        own = _ArmBodies.known(arm, scene.arm_radius)
-        carried_along = carried_bodies(arm, scene)
-        bodies = (*own.bodies, *carried_along)
+        alone = _ArmBodies.known(arm, scene.arm_radius)
+        carried = carried_bodies(arm, scene)
+        bodies = (*alone.bodies, *carried)
         named = [
             (name, solid) for name, obstacle in scene.standing.items() for solid in obstacle.geometry.solids()
         ]
         objects = CollisionObjects(
             arm,
-            kinematics=own.kinematics,
+            kinematics=alone.kinematics,
             joints=[body.joint for body in bodies],
-            solids=[*own.solids, *_solids_of(carried_along, own.kinematics)],
+            solids=[*alone.solids, *_solids_of(carried, alone.kinematics)],
             fixed=[solid for _, solid in named],
             depths=[scene.depth(name) for name, _ in named],
-            own=len(own.bodies),
+            own=len(alone.bodies),
         )
         moving = tuple(body.name for body in bodies)
         names = (*moving, *(name for name, _ in named))
         beside = {
-            (len(own.bodies) + k, len(bodies) + number)
-            for k, carried in enumerate(scene.carried.values())
+            (len(alone.bodies) + k, len(bodies) + number)
+            for k, held in enumerate(scene.carried.values())
             for number, (name, _) in enumerate(named)
-            if name in carried.beside
+            if name in held.beside
         }
         candidates, excluded = _choose_pairs(objects, scene, beside)
         listed = np.array(candidates, dtype=np.int64).reshape(-1, 2)
@@ -442,7 +442,7 @@ class CollisionModel:
         model.minimum(q).distance
 
     Models are cached per arm: the same arm and scene give the same model. A `PostureWarning` names the meshes
-    of the arm that are missing or unusable, once per arm and scene.
+    of the arm that are missing or unusable, once per arm.
 
     Distances of spheres and capsules, from each other and from boxes, half-spaces and cylinders, are compiled
     closed forms; those from scans and meshes are compiled searches; coal computes all others. They are exact,

@@ -184,7 +184,7 @@ def fit_curve(
     for share in np.arange(stages) / max(stages, 1):
         partial = _bent_curve(s, curve.at(float(start)), tangents[0], share * turns)
         unknowns = problem.solve(partial, unknowns, steps=CURVE_FIT.stage_steps)
-    best = problem.solve(curve, unknowns, steps=CURVE_FIT.rough_steps if rough else FIT_STEPS.most)
+    best = problem.solve(curve, unknowns, steps=CURVE_FIT.rough_steps if rough else None)
     # If off the curve, this may be a local minimum: restart, with reproducible perturbations.
     rng = np.random.default_rng(0)
     inexact = not rough and problem.distance(curve, best) > problem.exact
@@ -415,7 +415,7 @@ class FitProblem:
         self,
         curve: Samples | Curve,
         guess: Array,
-        steps: int = FIT_STEPS.most,
+        steps: int | None = None,
         *,
         before: Array | None = None,
         weight: float = 0.0,
@@ -426,7 +426,7 @@ class FitProblem:
         Args:
             curve: the curve.
             guess: initial unknowns, (n + m,).
-            steps: largest number of steps.
+            steps: largest number of steps; `FIT_STEPS.most` if None.
             before: unknowns to stay near, (n + m,); the guess if None.
             weight: weight of the squared distance from `before`.
             reach: largest deviation of joints from `before` [rad, or arm lengths].
@@ -444,7 +444,7 @@ class FitProblem:
         residual, jacobian = self.evaluate(curve, x)
         cost = cost_of(x, residual)
         damping = FIT_STEPS.damping
-        for _ in range(steps):
+        for _ in range(FIT_STEPS.most if steps is None else steps):
             gradient = jacobian.T @ residual + weight * (x - anchor)
             hessian = jacobian.T @ jacobian
             hessian[np.diag_indices(len(x))] += weight + damping * self.stiffness(hessian)

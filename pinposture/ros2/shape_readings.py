@@ -58,7 +58,7 @@ SENSING = SensingSettings()
 
 def _topics(name: str, value: object) -> tuple[str, ...]:
     names = (value,) if isinstance(value, str) else value
-    if not isinstance(names, list | tuple) or not all(isinstance(each, str) and each for each in names):
+    if not isinstance(names, list | tuple) or not all(isinstance(topic, str) and topic for topic in names):
         raise InvalidValue(name, value, "a name of a topic, or a list of them")
     return tuple(names)
 
@@ -289,7 +289,9 @@ class ShapeReadings:
         estimator = self._estimator
         estimator.predict(dt, change)
         fresh = {
-            name: each for name, each in joints.items() if each.stamp > self._stamps.get(_encoder(name), 0)
+            name: reading
+            for name, reading in joints.items()
+            if reading.stamp > self._stamps.get(_encoder(name), 0)
         }
         self._stamps |= {_encoder(name): reading.stamp for name, reading in fresh.items()}
         if fresh:
@@ -341,7 +343,7 @@ class ShapeReadings:
                 used = estimator.add_tilts([turn.up for turn in turns], noise, points)
             else:
                 used = estimator.add_orientations([turn.rotation for turn in turns], noise, points)
-            self._judge({f"imu {link!r}": bool(each) for link, each in zip(links, used, strict=True)}, now)
+            self._judge({f"imu {link!r}": bool(well) for link, well in zip(links, used, strict=True)}, now)
         self._turns = {}
 
     def _judge(self, used: dict[str, bool], now: int) -> None:

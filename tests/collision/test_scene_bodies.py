@@ -39,6 +39,21 @@ def test_a_template_arm_is_a_chain_of_capsules_with_a_flat_end():
             np.testing.assert_allclose(end, arm.at(q).points[-1], atol=1e-9)
 
 
+@pytest.mark.parametrize("radius", [None, 0.02])
+def test_in_a_further_scene_an_arm_is_where_a_new_one_is(radius):
+    arm = spatial(5)
+    CollisionModel(arm, Scene({"wall": Box((0.5, 0, 0), (0.1, 1, 1))}))
+    CollisionModel(arm, Scene({"wall": Box((0.5, 0, 0), (0.1, 1, 1))}, arm_radius=0.005))
+    scene = Scene({"ball": Sphere((0.1, 0.3, 0.2), 0.05)}, arm_radius=radius)
+    model = CollisionModel(arm, scene)
+    alone = CollisionModel(spatial(5), scene)
+    assert model.pairs == alone.pairs
+    for seed in range(5):
+        q = arm.random(np.random.default_rng(seed))
+        assert model.minimum(q).distance == alone.minimum(q).distance
+        assert model.minimum(q).pair == alone.minimum(q).pair
+
+
 @pytest.mark.long
 def test_the_chain_of_capsules_is_as_far_from_things_as_the_balls_and_tubes():
     arm = spatial(4)

@@ -15,6 +15,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.curve import HELIX
 from pinposture.errors import CurveBendsTooMuch, CurveEndsEarly, InvalidValue, PostureWarning
+from pinposture.placement.least_squares import FitProblem, fit_curve
 
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 J = pp.JointSpec
@@ -70,6 +71,30 @@ def test_awkward_modules_come_as_close_as_an_independent_fit(kind: str) -> None:
     assert arm.within_limits(target.q)
     assert np.all(np.diff(target.parameters) > 0)
     np.testing.assert_allclose(arm.at(target.q).points, target.points, atol=1e-12)
+
+
+@pytest.mark.parametrize("turns", [1.5, 2.0])
+def test_a_fit_to_a_coil_that_the_arm_cannot_follow_ends_in_a_minimum(turns: float) -> None:
+    """SciPy goes on from where the fit ends."""
+    arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.7)] * 6)
+    along = np.linspace(0.0, 1.0, 40)
+    angle = 2.0 * np.pi * turns * along
+    radius = 1.15 * arm.length / (2.0 * np.pi * turns)
+    bow = np.column_stack([np.sin(angle), 1.0 - np.cos(angle)])
+    coil = pp.Curve.points(np.column_stack([radius * bow, 0.3 * arm.length * along]))
+    problem = FitProblem(arm, 0.0, 1e-9)
+    fitted = problem.joined(*fit_curve(arm, coil, 0.0, bending=1e-9))
+    bounds = (problem.lower, problem.upper)
+    inside = np.clip(fitted, problem.lower + 1e-9, problem.upper - 1e-9)
+    further = least_squares(
+        lambda x: problem.evaluate(coil, x)[0],
+        inside,
+        jac=lambda x: problem.evaluate(coil, x)[1],
+        bounds=bounds,
+        xtol=1e-12,
+        ftol=1e-12,
+    )
+    assert problem.distance(coil, further.x) >= 0.999 * problem.distance(coil, fitted)
 
 
 @pytest.mark.parametrize("template", ["RyRz", "RzRy"])

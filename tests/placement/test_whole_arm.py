@@ -31,7 +31,7 @@ def load(text, **more):
         return pp.Arm.load(text, **more)
 
 
-def brute_force(arm, q, curve, normal=(0, 0, 0)):
+def brute_force(arm, q, curve, normal=(0, 0, 0), per_link=60):
     """The farthest of dense samples of the links, by Pinocchio, from dense samples of the curve [m]."""
     data = arm.model.createData()
     pin.framesForwardKinematics(arm.model, data, q)
@@ -39,7 +39,7 @@ def brute_force(arm, q, curve, normal=(0, 0, 0)):
     places.append(data.oMf[arm.model.getFrameId("tip")].translation.copy())
     places = np.array(places) - np.outer((np.array(places) - arm.chain.base) @ normal, normal)
     dense = curve.at(np.linspace(0.0, curve.length, 4001))
-    links = np.concatenate([a + np.linspace(0, 1, 60)[:, None] * (b - a) for a, b in pairwise(places)])
+    links = np.concatenate([a + np.linspace(0, 1, per_link)[:, None] * (b - a) for a, b in pairwise(places)])
     return max(np.linalg.norm(dense - place, axis=1).min() for place in links)
 
 
@@ -51,6 +51,19 @@ def test_the_distance_is_that_of_dense_samples_of_links_and_curve(seed):
     q = arm.random(rng)
     away = pp.Target(arm.at(q).points, np.ones(3), q, curve).distance_from_curve(arm)
     assert away == pytest.approx(brute_force(arm, q, curve), rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", [14, 74, 174])
+def test_the_higher_of_two_peaks_is_found(seed):
+    """The refinement of the farthest sample alone is up to 5 % short here."""
+    rng = np.random.default_rng(seed)
+    arm = load(arm_text(pairs(int(rng.integers(1, 4)))))
+    radius = rng.uniform(0.05, 0.2) * arm.length
+    pitch = rng.uniform(0.1, 0.4) * arm.length
+    curve = pp.Curve.helix(radius=radius, pitch=pitch, turns=rng.uniform(2, 6))
+    q = arm.configuration(rng.uniform(-1, 1, arm.nv))
+    away = pp.Target(arm.at(q).points, np.ones(arm.n_modules), q, curve).distance_from_curve(arm)
+    assert away == pytest.approx(brute_force(arm, q, curve, per_link=600), rel=2e-3)
 
 
 def test_a_link_across_a_circle_is_as_far_from_it_as_its_chord():

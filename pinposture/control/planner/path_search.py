@@ -111,7 +111,7 @@ class ShorteningSettings(NamedTuple):
     """Number of attempted shortcuts."""
 
     even_piece: float = 0.04
-    """Joint motion of a piece of a rejoined path, in `Arm.joint_units`."""
+    """Joint motion of a piece of a rejoined or straight path, in `Arm.joint_units`."""
 
     even_pieces: tuple[int, int] = (64, 384)
     """Least and largest number of these pieces."""
@@ -197,6 +197,13 @@ class PathSearch:
             np.minimum(np.maximum(highest, 0.0), farthest),
         )
 
+    def straight(self) -> FoundPath | None:
+        """Return the straight motion of the joints, in even pieces; None if it is not clear."""
+        if not self.is_clear(np.array([np.zeros(self.arm.nv), self._end])):
+            return None
+        pieces = _even_pieces(float(np.abs(self._end / self._units).max()))
+        return FoundPath(np.linspace(0.0, 1.0, pieces + 1)[:, None] * self._end, RELAXATION)
+
     def connect(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
         """Return a path that a short tree search between the ends finds, as found; None if there is none."""
         tell("tree search")
@@ -251,7 +258,7 @@ class PathSearch:
         """
         lengths = np.abs(np.diff(path, axis=0) / self._units).max(axis=1)
         places = np.append(0.0, np.cumsum(lengths))
-        count = int(np.clip(np.ceil(places[-1] / SHORTENING.even_piece), *SHORTENING.even_pieces))
+        count = _even_pieces(places[-1])
         for finer in (1, 2, 4):
             even_places = np.linspace(0.0, places[-1], finer * count + 1)
             even = np.column_stack([np.interp(even_places, places, joint) for joint in path.T])
@@ -513,3 +520,8 @@ class _Withdrawal:
         self.offsets.append(offset)
         self._state = fit.state
         return True
+
+
+def _even_pieces(length: float) -> int:
+    """Return the number of even pieces of a path of a length, in `Arm.joint_units`."""
+    return int(np.clip(np.ceil(length / SHORTENING.even_piece), *SHORTENING.even_pieces))

@@ -585,7 +585,10 @@ class _Candidates:
         hopeless = False
         if self._tasks is None:
             if attempt == 0:
-                self._try_straight()
+                straight = search.straight()
+                if straight is not None:  # known long before the most direct path
+                    self._clear.append(search.path(straight))
+                    self._tell("the most direct path")
                 yield self.most_direct
             searched = self._keep(search.connect(self._search_tells))
             hopeless = searched is None and (search.is_trapped or too_many)
@@ -607,29 +610,13 @@ class _Candidates:
             self.judge(self._search.path(searched))
         return searched
 
-    def _try_straight(self) -> None:
-        """Keep the straight motion of the joints if it is clear: it is known before the most direct path."""
-        objective, state, _, _ = self._search.problem
-        change = objective.normalize(objective.arm.difference(state.q, self._search.goal.q))
-        moved = objective.displacement(change)
-        path = JointPath(objective, state.q, np.array([np.zeros(len(moved)), moved]))
-        if self._measure(path)[2]:
-            self._clear.append(path)
-            self._tell("the most direct path")
-
-    def _measure(self, path: JointPath) -> tuple[Closest, NDArray[np.bool_], bool]:
-        """Return what a path comes closest to, which pieces keep the constraints, and whether it is clear."""
-        least = self._search.least
-        closest = _closest_on(path, self._search.avoidance, least)
-        kept = self._search.avoidance.keeps_constraints(path.start, path.offsets)
-        return closest, kept, closest.distance >= least and bool(kept.all())
-
     def judge(self, path: JointPath) -> bool:
         """Keep a path; return whether it is clear."""
         least = self._search.least
         avoidance = self._search.avoidance
-        closest, kept, clear = self._measure(path)
-        if clear:
+        closest = _closest_on(path, avoidance, least)
+        kept = avoidance.keeps_constraints(path.start, path.offsets)
+        if closest.distance >= least and kept.all():
             self._clear.append(path)
             return True
         rank = min(closest.distance, least), float(kept.mean())

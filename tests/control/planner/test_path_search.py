@@ -278,6 +278,34 @@ def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
     assert early.blocked_by
 
 
+def test_a_clear_straight_motion_is_told_before_the_most_direct_path() -> None:
+    scene = pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}, self_collision=False)
+    start = np.zeros(40)
+    goal = np.resize([0.15, -0.1, 0.05], 40)
+    told = []
+    target = pp.Target.from_configuration(arm(), goal)
+    path = pp.plan(
+        arm().at(start), target, scene, progress=lambda trying, _, best: told.append((trying, best))
+    )
+    (trying, first), *_ = told
+    assert trying == "the most direct path"
+    share = np.linspace(0.0, 1.0, len(first.configurations))
+    np.testing.assert_allclose(first.configurations, share[:, None] * goal, atol=1e-12)
+    assert path.length < first.length  # the most direct one is returned
+
+
+def test_a_straight_motion_through_an_obstacle_is_not_told() -> None:
+    scene, start, goal = through_a_hole(1)
+    told = []
+
+    def note(_: str, __: float, best: JointPath | None) -> bool:
+        told.append(best)
+        return True
+
+    pp.plan(arm().at(start), pp.Target.from_configuration(arm(), goal), scene, progress=note)
+    assert told == [None]
+
+
 @pytest.mark.long
 def test_an_interrupted_relaxation_keeps_the_path_that_was_found() -> None:
     scene, start, goal = through_a_hole(1)
