@@ -29,7 +29,7 @@ from pinposture.editor.phases import editable
 from pinposture.editor.postures import arm_line
 from pinposture.editor.session import Session
 from pinposture.editor.solver import judge
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, PostureError, no_warnings
 from pinposture.motion import Trajectory, save
 from pinposture.motion.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.placement.target import arm_axis
@@ -449,7 +449,8 @@ def first_task(arm: Arm, name: str = "") -> Task:
 
 def _first_feasible(arm: Arm, shapes: list[Shape]) -> Shape | None:
     for shape in shapes:
-        verdict = judge(arm, Keyframe(shape.curve, placement="as_is", trim=True), None)
+        with no_warnings():  # of a shape that is only tried
+            verdict = judge(arm, Keyframe(shape.curve, placement="as_is", trim=True), None)
         off = verdict.distance_from_curve or 0.0
         if verdict.target is not None and off < FIRST_TASK.close * arm.length:
             return shape

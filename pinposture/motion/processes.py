@@ -173,6 +173,17 @@ def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
             if ended > PROCESSES.most_endings:
                 raise ProcessError(done, len(listed) - done) from error
             logger.warning("a process was ended; calls from %d of %d on are made again", done, len(listed))
+        except Exception as error:  # interrupted while processes start, joblib fails in various ways
+            if not _comes_of_interruption(error):
+                raise
+            raise KeyboardInterrupt from error
+
+
+def _comes_of_interruption(error: BaseException | None) -> bool:
+    """Whether an error came up while a KeyboardInterrupt was handled."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 def _distribute_once(tasks: Sequence[Any], jobs: int, first_here: bool, alone: bool) -> Iterator[Any]:

@@ -97,6 +97,21 @@ def test_processes_leave_the_threads_of_blas_out(monkeypatch: pytest.MonkeyPatch
     assert list(in_order(tasks, 2)) == ["2", "1", "1"]  # the first call is made here
 
 
+@pytest.mark.parametrize("interrupted", [True, False])
+def test_an_interruption_stays_one_if_joblib_fails_to_end_its_processes(
+    interrupted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(*_: object, **__: object) -> Any:
+        try:
+            raise KeyboardInterrupt if interrupted else ValueError
+        except BaseException:
+            raise RuntimeError("cannot join thread before it is started")  # noqa: B904
+
+    monkeypatch.setattr(processes, "_distribute_once", failing)
+    with pytest.raises(KeyboardInterrupt if interrupted else RuntimeError):
+        list(in_order(squares(3), 2))
+
+
 def test_what_all_share_is_unpacked_once() -> None:
     shared = Shared([1, 2])
     sent = [pickle.loads(pickle.dumps((shared, k))) for k in range(3)]
