@@ -114,10 +114,11 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def enumerated(items: Sequence[str], most: int, between: str = ", ") -> str:
+def enumerated(items: Iterable[str], most: int = 6, between: str = ", ") -> str:
     """Return the first items of a list for a message, and the number of the others."""
-    more = f" and {len(items) - most} more" if len(items) > most else ""
-    return between.join(items[:most]) + more
+    listed = list(items)
+    more = f" and {len(listed) - most} more" if len(listed) > most else ""
+    return between.join(listed[:most]) + more
 
 
 def _in_words(value: object) -> str:
@@ -208,7 +209,7 @@ class WeightUnknown(PostureError, ValueError):
         self.remedy = remedy
         owner = "link" if what == "mass" else "joint"
         one = len(self.names) == 1
-        listed = enumerated([repr(name) for name in self.names], 6)
+        listed = enumerated(map(repr, self.names))
         subject = (
             f"the {what} of {owner} {listed} is" if one else f"the {_plural(what)} of {owner}s {listed} are"
         )

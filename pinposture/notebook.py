@@ -30,12 +30,6 @@ if TYPE_CHECKING:
 DPI = 80
 """Resolution of pictures; 1200 pixels at 120, so that a picture is as wide as a cell."""
 
-MAX_LISTED = 4
-"""Largest number of warnings that are listed."""
-
-MAX_OBSTACLES = 12
-"""Largest number of obstacles that are listed."""
-
 
 def register(shell: Any) -> None:
     """Have an IPython shell show what is made here; classes are found by name when the first is shown."""
@@ -64,7 +58,7 @@ def show_arm(arm: Arm) -> str:
             rows.append((f"{kind} limits", f"{_span(low)} to {_span(high)} {unit}"))
     if arm.couplings:
         rows.append(("coupled joints", str(len(arm.couplings))))
-    rows += _listed("warning", arm.warnings)
+    rows += _first(("warning", text) for text in arm.warnings)
     return _page(arm.name, rows, plot_arm(arm, arm.straight()))
 
 
@@ -138,10 +132,8 @@ def show_scene(scene: Scene) -> str:
         ("self-collision", "avoided" if scene.self_collision else "not checked"),
         *([("touchable", ", ".join(scene.touchable))] if scene.touchable else []),
         *((f"{name} carried by", carried.frame) for name, carried in scene.carried.items()),
-        *((name, repr(obstacle)) for name, obstacle in list(scene.obstacles.items())[:MAX_OBSTACLES]),
+        *_first((name, repr(obstacle)) for name, obstacle in scene.obstacles.items()),
     ]
-    if len(scene.obstacles) > MAX_OBSTACLES:
-        rows.append(("", f"and {len(scene.obstacles) - MAX_OBSTACLES} more"))
     return _page("Scene", rows, None)
 
 
@@ -189,7 +181,7 @@ def show_tracker(tracker: Tracker) -> str:
     ]
     if report.mean_error is not None:
         rows.append(("mean point error", length_text(report.mean_error, tracker.arm.length)))
-    rows += _listed("violated constraint", report.violated_constraints)
+    rows += _first(("violated constraint", text) for text in report.violated_constraints)
     return _page("Tracker", rows, None)
 
 
@@ -237,10 +229,11 @@ def _span(values: np.ndarray) -> str:
     return f"{low:.4g}" if low == high else f"{low:.4g} ... {high:.4g}"
 
 
-def _listed(what: str, texts: Iterable[str]) -> list[tuple[str, str]]:
-    listed = list(texts)
-    more = [("", f"and {len(listed) - MAX_LISTED} more")] if len(listed) > MAX_LISTED else []
-    return [(what, text) for text in listed[:MAX_LISTED]] + more
+def _first(rows: Iterable[tuple[str, str]], most: int = 12) -> list[tuple[str, str]]:
+    """Return the first rows, and the number of the others."""
+    listed = list(rows)
+    more = [("", f"and {len(listed) - most} more")] if len(listed) > most else []
+    return listed[:most] + more
 
 
 def _page(title: str, rows: Iterable[tuple[str, str]], figure: Figure | None) -> str:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from decimal import Decimal
 
 ROUNDING = 1e-9
-"""Errors below this share of the arm length are rounding. Forward kinematics of 40 joints is exact to some
-1e-15 of it, and runs converge to 1e-6."""
+"""What is smaller is rounding: a length as a share of the arm length, an excess over a limit as a share of it
+or in rad or m. Forward kinematics of 40 joints is exact to some 1e-15 of the arm length."""
+
+CONVERGED = 1e-6
+"""What is smaller counts as none where numbers come from iterations or files: a share of the arm length, or
+`Arm.joint_units`. Runs converge to it."""
 
 BELOW_ROUNDING = "below rounding"
-"""How such an error is written."""
-
+"""How an error below `ROUNDING` is written."""
 
 SMALLEST_WRITTEN = 1e-7
 """Shorter lengths are not written as numbers [m]: what is measured is not that exact."""

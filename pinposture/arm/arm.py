@@ -75,7 +75,6 @@ from pinposture.arm.weight import (
     NOTHING,
     REMEDY,
     STIFFNESS_REMEDY,
-    TORQUE_ROUNDING,
     Added,
     Cable,
     HeldOut,
@@ -105,19 +104,13 @@ from pinposture.errors import (
 from pinposture.kernels.arrays import Screws
 from pinposture.schema import as_plain, read_plain
 from pinposture.storage import settled
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, ROUNDING, length_text
 
 Array = NDArray[np.float64]
 Kept = TypeVar("Kept")
 
 FARTHEST = 1e6
 """Distance from the base beyond which a coordinate is a mistake, in arm lengths."""
-TURN_TOLERANCE = 1e-9
-"""Fraction of a turn that counts as rounding error."""
-BEYOND = 1e-9
-"""Excess over a position limit that counts as rounding error, in `Arm.joint_units`."""
-SAME_REST = 1e-6
-"""Largest distance of two postures that are the same, in `Arm.joint_units`."""
 MAX_KEPT = 16
 """Most values of a kind that an arm keeps in its cache, such as collision models: those made last."""
 
@@ -992,7 +985,7 @@ class Arm(ConfigurationSpace):
             raise WeightUnknown("mass", lacking, REMEDY)
         if parts:
             counted = "have shapes and no mass; they count with the links that carry them"
-            warnings.append(f"{enumerated([repr(name) for name in parts], 6)} {counted}; {REMEDY}")
+            warnings.append(f"{enumerated(map(repr, parts))} {counted}; {REMEDY}")
         if warns:
             for message in warnings:
                 self._warn_once(message)
@@ -1027,7 +1020,7 @@ class Arm(ConfigurationSpace):
         size = float(np.linalg.norm(self.model.gravity.linear))
         torques = self.outstretched_torques[columns]
         shares = torques / self.effort[columns]
-        weak = np.flatnonzero(shares > 1.0 + TORQUE_ROUNDING)
+        weak = np.flatnonzero(shares > 1.0 + ROUNDING)
         first = int(weak[-1]) if len(weak) else int(shares.argmax())
         load = load_of(self.drives[columns[first]], float(torques[first]), float(self.effort[columns[first]]))
         leaders = self.chain.leaders
@@ -1185,7 +1178,7 @@ class Arm(ConfigurationSpace):
         positions = state.raw_positions - state.deflection
         beyond = np.maximum(self.limits.lower - positions, positions - self.limits.upper) / self.joint_units
         worst = int(beyond.argmax())
-        if beyond[worst] > BEYOND:
+        if beyond[worst] > ROUNDING:
             unit = "m" if self.in_metres[worst] else "rad"
             low = self.limits.lower[worst]
             high = self.limits.upper[worst]
@@ -1194,7 +1187,7 @@ class Arm(ConfigurationSpace):
             joint = self.joint_names[worst]
             raise InvalidValue(f"command of joint {joint!r} for {name}", float(positions[worst]), allowed)
         reached = self.difference(q, self._sagged(command, name)) / self.joint_units
-        if np.abs(reached).max() > SAME_REST:
+        if np.abs(reached).max() > CONVERGED:
             joint = self.joint_names[int(np.abs(reached).argmax())]
             raise NoEquilibrium(name, joint)
         return command
@@ -1671,9 +1664,9 @@ def nearest_turns(arm: Arm, q: Array, near: Array | None, position_limits: Array
     preferred = arm._stretched if near is None else arm.difference(arm.origin, near)
     lower, upper = (arm.limits.lower, arm.limits.upper) if position_limits is None else position_limits
     away = (preferred - positions) / turn
-    turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - TURN_TOLERANCE)
-    least = np.ceil((lower - positions) / turn - TURN_TOLERANCE)
-    most = np.floor((upper - positions) / turn + TURN_TOLERANCE)
+    turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - ROUNDING)
+    least = np.ceil((lower - positions) / turn - ROUNDING)
+    most = np.floor((upper - positions) / turn + ROUNDING)
     turns = np.where(multi_turn & (least <= most), np.maximum(np.minimum(turns, most), least), 0.0)
     if not np.any(turns):
         return q

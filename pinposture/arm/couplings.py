@@ -152,7 +152,7 @@ class DrivenJoints(tuple[Drive, ...]):
         known = self.find(positions)
         missing = [drive.joint for column, drive in enumerate(self) if column not in known]
         if missing:
-            lacking = enumerated(list(map(repr, missing)), 6)
+            lacking = enumerated(map(repr, missing))
             allowed = f"positions of all {len(self)} joints that drives move (missing: {lacking})"
             raise InvalidValue("positions", list(positions), allowed)
         return np.array([known[column] for column in range(len(self))])

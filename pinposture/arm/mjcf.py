@@ -42,7 +42,7 @@ from pinposture.arm.urdf import (
 )
 from pinposture.errors import FileError, PostureError, URDFError
 from pinposture.storage import read_xml
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -54,8 +54,6 @@ VISIBLE_GROUPS = 3
 """MuJoCo shows shapes of the groups below this one, unless told otherwise."""
 SAMPLES = 10
 """Configurations at which the kinematics is compared with MuJoCo's."""
-PLACEMENT_TOLERANCE = 1e-9
-"""Largest difference from MuJoCo's kinematics [1, or m for models of up to 1 m]; rounding makes 1e-13."""
 
 REPORT = "the file is not used; please report it"
 
@@ -726,7 +724,7 @@ def _compare_kinematics(compiled: _Compiled, description: Description) -> None:
         turned = np.abs(poses[:, :3, :3] - turns).max(axis=(1, 2))
         off = np.maximum(shifted / max(1.0, float(np.abs(points).max())), turned)
         worst = int(off.argmax())
-        if not off[worst] <= PLACEMENT_TOLERANCE:
+        if not off[worst] <= ROUNDING:
             name = [*names.bodies, *names.sites.values()][worst]
             amount = f"{length_text(shifted[worst])} and {turned[worst]:.3g} rad"
             reason = f"would be {amount} from where MuJoCo places it; {REPORT}"

@@ -17,6 +17,7 @@ from pinposture.arm.kinematics import chain_arrays
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import SLIDES, TURNS, ArmArrays, Joints
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 Chosen = TypeVar("Chosen", bound=Callable[..., object])
@@ -24,8 +25,6 @@ Chosen = TypeVar("Chosen", bound=Callable[..., object])
 ACROSS = 1e-3
 """Sine of the smallest angle between a joint axis and the module axis at which the joint bends the module."""
 
-FK_TOLERANCE = 1e-6
-"""Tolerance of the FK of registered kinematics against that of the joints, in reaches or radians."""
 
 CHECKED_POSTURES = 8
 """Number of postures in which registered kinematics are compared with the joints."""
@@ -319,8 +318,7 @@ def _check(recognise: Recogniser, kinematics: object, joints: ModuleJoints) -> N
         raise InvalidValue(f"{name}: dof", kinematics.dof, f"{joints.dof}, as joints {listed} have")
     length = max(require_positive(f"{name}: reach", kinematics.reach), float(np.linalg.norm(joints.end)))
     most = (
-        require_positive(f"{name}: tolerance", getattr(kinematics, "tolerance", 0.0), zero=True)
-        or FK_TOLERANCE
+        require_positive(f"{name}: tolerance", getattr(kinematics, "tolerance", 0.0), zero=True) or CONVERGED
     )
     low = np.maximum(joints.lower, -np.pi)
     high = np.minimum(joints.upper, np.pi)

@@ -41,7 +41,7 @@ from pinposture.schema import (
     read_within,
     refusing,
 )
-from pinposture.units import length_text, number_text
+from pinposture.units import ROUNDING, length_text, number_text
 
 Array = NDArray[np.float64]
 
@@ -54,8 +54,6 @@ EFFORT_REMEDY = "give torque limits with arm.with_effort(...), or in the descrip
 """What to do about joints without torque limits."""
 STIFFNESS_REMEDY = "give it with arm.with_stiffness(...)"
 """What to do about joints whose stiffness is not known."""
-SYMMETRIC = 1e-9
-"""Largest difference of a stiffness from that on the other side of the diagonal, relative to the largest."""
 
 
 def _read_list(value: object) -> object:
@@ -159,16 +157,12 @@ def _read_stiffness(value: object, _: ValidationInfo) -> float | dict[str, float
         raise NotAllowed(value, allowed)
     if not np.all(np.abs(matrix) <= LARGEST_NUMBER):
         raise NotAllowed(value, "finite numbers")
-    if np.abs(matrix - matrix.T).max() > SYMMETRIC * np.abs(matrix).max():
+    if np.abs(matrix - matrix.T).max() > ROUNDING * np.abs(matrix).max():
         raise NotAllowed(value, "a symmetric matrix")
     diagonal = np.diagonal(matrix)
     if diagonal.min() < SMALLEST_NUMBER or not is_definite(scaled(matrix, 1.0 / np.sqrt(diagonal))):
         raise NotAllowed(value, "a positive definite matrix, in which a stiffness holds every motion")
     return tuple(tuple(row) for row in ((matrix + matrix.T) / 2.0).tolist())
-
-
-DEFINITE = 1e-9
-"""Smallest eigenvalue of a stiffness relative to the stiffnesses of single joints: more than rounding."""
 
 
 def scaled(matrix: Array, units: Array) -> Array:
@@ -178,7 +172,7 @@ def scaled(matrix: Array, units: Array) -> Array:
 
 def is_definite(matrix: Array) -> bool:
     """Check whether a symmetric matrix, (n, n), is positive definite by more than rounding."""
-    return bool(np.linalg.eigvalsh(matrix)[0] > DEFINITE)
+    return bool(np.linalg.eigvalsh(matrix)[0] > ROUNDING)
 
 
 @declared()
@@ -500,7 +494,7 @@ def check_masses(model: pin.Model, urdf: str | None, length: float) -> list[str]
     solid = {name: physically_consistent(body)[1] for name, body in bodies.items() if body.mass > 0.0}
     unphysical = [repr(name) for name, fault in solid.items() if fault]
     if unphysical:
-        no = f"no solid has the moments of inertia of {enumerated(unphysical, 6)}"
+        no = f"no solid has the moments of inertia of {enumerated(unphysical)}"
         warnings.append(f"{no}; torques at rest do not depend on them")
     for name, body in bodies.items():
         away = float(np.linalg.norm(body.center))
@@ -532,9 +526,6 @@ def _extended(model: pin.Model, chain: Chain, control_points: Sequence[str]) -> 
 
 # Torques beyond their limits.
 
-TORQUE_ROUNDING = 1e-9
-"""Relative excess over a torque limit that is attributed to rounding."""
-
 
 class JointLoad(NamedTuple):
     """The torque, or force, that a joint needs to hold the arm, and its limit.
@@ -559,7 +550,7 @@ class JointLoad(NamedTuple):
     @property
     def exceeded(self) -> bool:
         """Whether the drive has not enough."""
-        return self.share > 1.0 + TORQUE_ROUNDING
+        return self.share > 1.0 + ROUNDING
 
     @property
     def unit(self) -> str:

@@ -340,7 +340,7 @@ def _weight_in_words(weight: Mapping[str, Any], length: float) -> dict[str, str]
     if weight["unknown_masses"]:
         return words
     if lacking:
-        words["held out"] = f"not known: no torque limits of {enumerated(lacking, 6)}"
+        words["held out"] = f"not known: no torque limits of {enumerated(lacking)}"
         return words
     held = weight["held_out"]
     load = held["gives_up"]

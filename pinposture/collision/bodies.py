@@ -22,7 +22,7 @@ from pinposture.collision.obstacles import displaced
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from pinposture.errors import FileError, InvalidValue, enumerated, warn_caller
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 Shape: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
@@ -31,9 +31,6 @@ Fault: TypeAlias = tuple[str, int, str]
 
 STAND_IN_RADIUS = 0.1  # radius of the stand-in capsules, relative to the mean length of a module
 IMPLAUSIBLE_WIDTH = 10.0  # width above which a mesh is probably in millimetres, in arm lengths
-
-_MAX_LISTED_FAULTS = 12
-_SAME = 1e-9  # tolerance for equal points and equal radii, relative to the radius
 
 
 class Body(NamedTuple):
@@ -119,7 +116,7 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
         advice = 'if it is in millimetres, the description needs <mesh scale="0.001 0.001 0.001">'
         warn_caller(f"the collision mesh of link {widest[1]!r} is {size}; {advice}")
     if faults:
-        named = enumerated([f"link {link!r}: {why}" for link, _, why in faults], _MAX_LISTED_FAULTS, "; ")
+        named = enumerated((f"link {link!r}: {why}" for link, _, why in faults), between="; ")
         warn_caller(f"capsules stand in for unusable collision geometry: {named}")
     return tuple(sorted(bodies, key=lambda body: body.joint))
 
@@ -214,7 +211,7 @@ def _merge_capsules(model: pin.Model, bodies: Sequence[Body]) -> list[Body]:
     for index, (name, joint, shape) in enumerate(bodies):
         if not isinstance(shape, Cylinder):
             continue
-        near = _SAME * shape.radius
+        near = ROUNDING * shape.radius
         ends = [
             [
                 ball
@@ -237,7 +234,7 @@ def _fixed_centers(
     centers = [(joint, center)]
     while joint > 0:
         one, other = (posture[joint].act(center) for posture in postures)
-        if np.abs(one - other).max() > _SAME * ball.radius:
+        if np.abs(one - other).max() > ROUNDING * ball.radius:
             break
         joint = int(model.parents[joint])
         center = one

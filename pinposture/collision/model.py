@@ -29,7 +29,7 @@ from pinposture.collision.shapes import Sphere
 from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, enumerated, warn_caller
 from pinposture.kernels.arrays import OTHERWISE, Contacts, SearchTrees, TreeSettings
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -69,9 +69,6 @@ MOTION_TOLERANCE = 1e-4
 OPEN_MOTION = 5e-3
 """Error allowed in the smallest distance on a motion, and initial motion between samples of pairs that need
 coal, both in arm lengths."""
-
-
-_NEGLIGIBLE = 1e-9
 
 
 class CollisionObjects(NamedTuple):
@@ -275,16 +272,16 @@ def escape_direction(first: Array, second: Array, plane: Array) -> Array:
     offset = moving.mean(axis=0) - still.mean(axis=0)
     if len(plane) == 2:
         normals = [np.array([-line[1], line[0]]) for line in (u, v)]
-        directions = [n / np.linalg.norm(n) for n in normals if np.linalg.norm(n) > _NEGLIGIBLE * size]
+        directions = [n / np.linalg.norm(n) for n in normals if np.linalg.norm(n) > ROUNDING * size]
         if not directions:  # both are points in the plane
             gap = float(np.linalg.norm(offset))
             return np.asarray((offset / gap if gap > 0.0 else np.array([1.0, 0.0])) @ plane)
         return np.asarray(_shortest(moving, still, directions) @ plane)
     normal = np.cross(u, v)
-    if np.linalg.norm(normal) <= _NEGLIGIBLE * size * size:  # parallel: from middle to middle, normal to both
+    if np.linalg.norm(normal) <= ROUNDING * size * size:  # parallel: from middle to middle, normal to both
         line = (u if np.linalg.norm(u) >= np.linalg.norm(v) else v) / size
         normal = offset - line * (line @ offset)
-        if np.linalg.norm(normal) <= _NEGLIGIBLE * size:
+        if np.linalg.norm(normal) <= ROUNDING * size:
             normal = np.cross(line, np.eye(3)[np.argmin(np.abs(line))])
             if np.linalg.norm(normal) == 0.0:  # coincident points
                 normal = np.array([0.0, 0.0, 1.0])

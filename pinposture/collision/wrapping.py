@@ -18,7 +18,7 @@ from pinposture.collision.solids import Solid
 from pinposture.curve import Curve
 from pinposture.errors import CurveError, InvalidValue
 from pinposture.kernels.arrays import CYLINDER
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -50,10 +50,6 @@ class WrappingCurveSettings(NamedTuple):
 
 
 WRAPPING = WrappingCurveSettings()
-
-
-PARALLEL = 1e-9
-"""Sine of the angle between two axes that count as parallel."""
 
 
 def as_turns(name: str, value: Any) -> float:
@@ -307,7 +303,7 @@ def _body(obstacle: Obstacle, axis: ArrayLike | None) -> WrappedBody:
         ends = np.array([shape.start, shape.end])
         direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         about = direction if about is None else about
-        if shape.primitive != CYLINDER or float(np.linalg.norm(np.cross(direction, about))) < PARALLEL:
+        if shape.primitive != CYLINDER or float(np.linalg.norm(np.cross(direction, about))) < ROUNDING:
             return WrappedBody(shape.solid(), ends, shape.radius, about)
         rim = _circle(shape.radius) @ _frame(direction)[:2]
         return WrappedBody(shape.solid(), np.vstack([end + rim for end in ends]), 0.0, about)

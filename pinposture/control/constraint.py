@@ -12,12 +12,10 @@ from pinposture._validation import as_floats, finite_array, require_instance
 from pinposture.arm import ArmState
 from pinposture.control.controller import call_own
 from pinposture.errors import InvalidValue
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 
-VIOLATION_ROUNDING = 1e-6
-"""Violation of a constraint that does not count, in arm lengths: as exact as a target is taken."""
 
 ROWS = "three arrays: a matrix (r, nv) of finite numbers, and the bounds lower <= upper, (r,) each"
 
@@ -113,7 +111,7 @@ def describe_violated(inequalities: Inequalities, length: float) -> tuple[str, .
     """Return a message for each constraint of an arm of a length [m] that is violated."""
     worst: dict[str, float] = {}
     for name, room in zip(inequalities.names, inequalities.room.tolist(), strict=True):
-        if -room > VIOLATION_ROUNDING * length:
+        if -room > CONVERGED * length:
             worst[name] = max(worst.get(name, 0.0), -room)
     return tuple(f"constraint: {name} is violated by {length_text(by)}" for name, by in worst.items())
 

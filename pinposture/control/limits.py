@@ -40,14 +40,12 @@ from pinposture.schema import (
     refusing,
     unknown_key,
 )
+from pinposture.units import CONVERGED, ROUNDING
 
 Array = NDArray[np.float64]
 
 USUAL_STEP = 0.1
 """Upper bound of the joint travel that a step counts as, whatever the limits allow [rad]."""
-
-POSITION_SLACK = 1e-6
-"""Excess over a position limit beyond which a joint is brought back, in `Arm.joint_units`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +116,7 @@ class JointBounds:
             self.bound,
             self.braking,
             before,
-            LIMIT_ROUNDING,
+            ROUNDING,
             arm.kinematics.columns,
             self.slack,
             both,
@@ -126,7 +124,7 @@ class JointBounds:
         relaxed: tuple[str, ...] = ()
         if broken % 2:
             relaxed = violated_limits(
-                arm, positions, self.position_limits, self.bound, self.braking, before, LIMIT_ROUNDING
+                arm, positions, self.position_limits, self.bound, self.braking, before, ROUNDING
             )
         return StepBounds(both[0], both[1], relaxed, broken >= 2, both)
 
@@ -163,7 +161,7 @@ def joint_bounds(
     position_limits = _position_limits(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
-    slack = POSITION_SLACK * units
+    slack = CONVERGED * units
     return JointBounds(
         bound, travel, position_limits, brake, units, slack, dt, change, change_of_change, None
     )
@@ -352,10 +350,6 @@ def violated_limits(
                 f"and at most {bound[joint]:.4g} {unit} is allowed"
             )
     return tuple(words)
-
-
-LIMIT_ROUNDING = 1e-9
-"""Excess over a limit that is attributed to rounding [rad or m]."""
 
 
 class StepBounds(NamedTuple):

@@ -34,15 +34,12 @@ from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, rais
 from pinposture.placement import Target
 from pinposture.placement.points import POSTURE_SEARCH
 from pinposture.quadratic_program import solve
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 
 OBJECTIVES = ("dexterity", "torque")
 """What postures can be chosen and improved for."""
-
-TIP_TOLERANCE = 1e-6
-"""Default tolerance of the tip position, in arm lengths."""
 
 
 class PostureSearchSettings(NamedTuple):
@@ -221,7 +218,7 @@ def reach(
     require_whole("count", count, 1)
     require_whole("seed", seed, 0)
     require_positive("budget", budget)
-    allowed_error = TIP_TOLERANCE * arm.length if tolerance is None else tolerance
+    allowed_error = CONVERGED * arm.length if tolerance is None else tolerance
     require_positive("tolerance", allowed_error)
     task = tip_task(arm, goal, direction)
     limits = Limits() if limits is None else limits
@@ -271,7 +268,7 @@ def reach_from(
         ReachError: the goal is inside an obstacle.
     """
     task = tip_task(arm, place, direction)
-    tolerance = TIP_TOLERANCE * arm.length
+    tolerance = CONVERGED * arm.length
     _check_in_reach(arm, task, tolerance, scene)
     search = _Search(arm, task, scene, Limits() if limits is None else limits, tolerance)
     state = arm.chain_at(arm.checked_start(start, "start"))
@@ -293,7 +290,7 @@ def bring_to_goal(arm: Arm, task: EndEffector, state: ChainState) -> tuple[Chain
         from `state` misses the goal, the state is the nearest to it of those that reach the goal from a wave
         of seed postures; if none does, the one that comes closest to the goal.
     """
-    search = _Search(arm, task, None, Limits(), TIP_TOLERANCE * arm.length)
+    search = _Search(arm, task, None, Limits(), CONVERGED * arm.length)
     waves = SEARCH.near_waves
     try:
         require_within_reach(arm, task)
@@ -325,7 +322,7 @@ def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) ->
     position = _place_of(task)
     away = float(np.linalg.norm(position - arm.chain.base))
     most = arm.length + arm.travel
-    if away > most + max(tolerance, TIP_TOLERANCE * arm.length):
+    if away > most + max(tolerance, CONVERGED * arm.length):
         advice = "is it in millimetres, not metres?" if away > 100.0 * most else "choose a nearer one"
         base = ", ".join(f"{coordinate:.4g}" for coordinate in arm.chain.base)
         where = f"it is {length_text(away)} from the base at ({base}) m"

@@ -45,6 +45,7 @@ from pinposture.schema import (
     read_within,
     refusing,
 )
+from pinposture.units import ROUNDING
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -115,9 +116,6 @@ def _turning(arm: Arm) -> tuple[Indices, Array]:
 # joints that move a point turn about one axis, as in a planar arm, the error is the rotation about that axis
 # that comes closest.
 
-HALF_TURN_TOLERANCE = 1e-9
-"""Distance from half a turn within which the direction is fixed rather than left to rounding [rad]."""
-
 
 def link_directions(state: ArmState, points: Indices) -> Array:
     """Return the directions of the links that end at control points, (k, 3), world frame."""
@@ -180,7 +178,7 @@ def direction_rows(state: ArmState, points: Indices, target: Array) -> tuple[Arr
     ahead, beside = _dot(basis, target)
     sine = np.hypot(ahead, beside)
     cosine = _dot(link, target)
-    opposite = (sine < HALF_TURN_TOLERANCE) & (cosine < 0.0)
+    opposite = (sine < ROUNDING) & (cosine < 0.0)
     way = np.stack([np.where(opposite, 1.0, ahead), beside])
     way *= np.arctan2(sine, cosine) / np.maximum(np.hypot(way[0], way[1]), 1e-300)
     # b . (w x t) = w . (t x b): turning about t x b moves t along b.
@@ -202,7 +200,7 @@ def direction_rows(state: ArmState, points: Indices, target: Array) -> tuple[Arr
 
 def _wrap(angle: Array) -> Array:
     """Return angles wrapped to (-pi, pi]; half a turn is always positive."""
-    return np.where(angle < HALF_TURN_TOLERANCE - np.pi, angle + 2.0 * np.pi, angle)
+    return np.where(angle < ROUNDING - np.pi, angle + 2.0 * np.pi, angle)
 
 
 def _rotation_vector(vector: Array, scalar: float) -> Array:
@@ -211,7 +209,7 @@ def _rotation_vector(vector: Array, scalar: float) -> Array:
     if size < 1e-150:
         return np.zeros(3)
     forward = scalar > 0.0
-    if abs(scalar) < HALF_TURN_TOLERANCE / 2.0:  # the first component that is not small decides
+    if abs(scalar) < ROUNDING / 2.0:  # the first component that is not small decides
         forward = vector[np.argmax(np.abs(vector) > 0.4 * size)] > 0.0
     sign = 1.0 if forward else -1.0
     return np.asarray(2.0 * np.arctan2(size, sign * scalar) / size * sign * vector)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ChainState, JointLoad
 from pinposture.arm.weight import heaviest_load
-from pinposture.control.constraint import VIOLATION_ROUNDING, Inequalities
-from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, farthest, stopping_steps
+from pinposture.control.constraint import Inequalities
+from pinposture.control.limits import JointBounds, Limits, farthest, stopping_steps
 from pinposture.errors import InvalidValue
+from pinposture.units import CONVERGED, ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -102,7 +103,7 @@ class TorqueLimits:
     def __init__(self, arm: Arm, effort: Array) -> None:
         self._arm = arm
         self._limits = effort
-        self._effort = (1.0 - VIOLATION_ROUNDING) * effort  # what counts as none is kept, too
+        self._effort = (1.0 - CONVERGED) * effort  # what counts as none is kept, too
         self._limited = np.flatnonzero(np.isfinite(effort))
         self._length = TORQUE_LIMIT.length * arm.length
 
@@ -276,14 +277,12 @@ class StepTorques:
         """Whether the steps of a stop exceed limits of acceleration, or lead out of those of positions."""
         low, high = self._bounds.position_limits - start
         away = steps.sum(axis=0)
-        outside = np.any(
-            (away < np.minimum(low, 0.0) - LIMIT_ROUNDING) | (away > np.maximum(high, 0.0) + LIMIT_ROUNDING)
-        )
+        outside = np.any((away < np.minimum(low, 0.0) - ROUNDING) | (away > np.maximum(high, 0.0) + ROUNDING))
         brake = self._bounds.brake
         if brake is None:
             return bool(outside)
         changes = np.diff(np.vstack([moving, steps, np.zeros(len(moving))]), axis=0)
-        return bool(outside or np.any(np.abs(changes) > brake + LIMIT_ROUNDING))
+        return bool(outside or np.any(np.abs(changes) > brake + ROUNDING))
 
     def _slowing(self, positions: Array, moving: Array) -> float:
         """Return the share of its speed that an arm can lose in a step, one in `max_stopping` at least."""

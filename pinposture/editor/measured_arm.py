@@ -8,7 +8,7 @@ import select
 import stat
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event, Lock
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_instance
 from pinposture.arm import Arm
 from pinposture.arm.configurations import NO_LIMIT
-from pinposture.errors import FileError, InvalidValue
+from pinposture.errors import FileError, InvalidValue, enumerated
 from pinposture.motion.latest import Done, Latest
 
 Array = NDArray[np.float64]
@@ -51,8 +51,6 @@ class ReadingSettings(NamedTuple):
 
 
 READING = ReadingSettings()
-
-MAX_JOINTS_NAMED = 6  # in a complaint
 
 
 class JointPositions(NamedTuple):
@@ -350,7 +348,7 @@ class JointStates:
             received = self._received
         complaint = latest.complaint
         if latest.count and latest.unheard and not complaint:
-            complaint = f"no positions yet, shown at zero: {_listed(latest.unheard)}"
+            complaint = f"no positions yet, shown at zero: {enumerated(map(repr, latest.unheard))}"
         return replace(latest, age=time.monotonic() - received, complaint=complaint)
 
     @property
@@ -431,7 +429,9 @@ class JointStates:
         unknown = [name for name in read.unknown if name not in self._unknown]
         if unknown:
             self._unknown.update(unknown)
-            joints = f"{_listed(unknown)}; the arm has {_listed(self._lines.names)}"
+            joints = (
+                f"{enumerated(map(repr, unknown))}; the arm has {enumerated(map(repr, self._lines.names))}"
+            )
             batch.complaint = batch.complaint or f"line {number} names unknown joints: {joints}"
         if not len(read.columns):
             batch.skipped += 1
@@ -483,8 +483,3 @@ class _Batch:
 def _read_only(q: Array) -> Array:
     q.flags.writeable = False
     return q
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MAX_JOINTS_NAMED} more" if len(names) > MAX_JOINTS_NAMED else ""
-    return ", ".join(map(repr, names[:MAX_JOINTS_NAMED])) + more

@@ -28,16 +28,16 @@ from pinposture.errors import (
     PostureWarning,
     TargetError,
     TaskError,
+    enumerated,
 )
 from pinposture.motion import Tracker
 from pinposture.motion.deadline import NOT_DONE
 from pinposture.motion.latest import Latest
-from pinposture.motion.run import CONTACT_TOLERANCE
 from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.keyframe import resolve_keyframe
 from pinposture.task.reference import tip_off
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -73,7 +73,6 @@ class LiveSettings(NamedTuple):
 
 LIVE_ARM = LiveSettings()
 
-MAX_JOINTS_NAMED = 3
 
 TRACKER_FIELDS = ("arm", "controller", "limits", "scene")  # of a problem; changes need a new tracker
 
@@ -158,8 +157,7 @@ def _joints_at_limits(arm: Arm, target: Target) -> list[str]:
     names = [name for name, at in zip(arm.chain.input_names, near, strict=True) if at]
     if not names:
         return []
-    more = f" and {len(names) - MAX_JOINTS_NAMED} more" if len(names) > MAX_JOINTS_NAMED else ""
-    return [f"at the limit of {', '.join(names[:MAX_JOINTS_NAMED])}{more}"]
+    return [f"at the limit of {enumerated(names, 3)}"]
 
 
 def _too_heavy(arm: Arm, target: Target) -> list[str]:
@@ -179,7 +177,7 @@ def _contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
         closest = CollisionModel(arm, scene).minimum(target.q)
-    if closest.pair is None or closest.distance >= scene.margin - CONTACT_TOLERANCE * arm.length:
+    if closest.pair is None or closest.distance >= scene.margin - CONVERGED * arm.length:
         return []
     body, other = closest.pair
     if closest.distance >= 0.0:

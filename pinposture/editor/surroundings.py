@@ -27,9 +27,9 @@ from pinposture.editor.session import NearestObstacle, Session
 from pinposture.editor.solver import Live, VerdictCache
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion.latest import EXPECTED_ERRORS, Latest
-from pinposture.motion.run import CONTACT_TOLERANCE
 from pinposture.storage import write_bytes
 from pinposture.task import Keyframe, Task
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -306,7 +306,7 @@ def nearest(query: ClearanceQuery) -> NearestObstacle | None:
         # Without the arm itself: neighbours of neighbouring links are always near, and would hide the rest.
         pairs.append(_closest_pair(scene.without_self_collision(), state))
     inside = _closest_pair(scene.without_obstacles(), state)
-    if inside is not None and inside.distance < -CONTACT_TOLERANCE * arm.length:
+    if inside is not None and inside.distance < -CONVERGED * arm.length:
         pairs.append(inside)
     shown = Scene(self_collision=False, margin=MOUNT_DISTANCE, arm_radius=scene.arm_radius)
     for name, scan in query.scans.items():

@@ -34,11 +34,9 @@ from pinposture.motion.arrival import FULL
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 from pinposture.quadratic_program import ROW_PROGRAM, solve
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, declared
+from pinposture.units import ROUNDING
 
 Array = NDArray[np.float64]
-
-INDEPENDENT = 1e-9
-"""Smallest singular value of independent columns of R, relative to the largest."""
 
 
 BALANCED = 1e-7
@@ -205,7 +203,7 @@ class Actuators(Declared):
         """Return the singular values of the matrix; raise InvalidValue if a degree of freedom is free."""
         columns = self.matrix[:, self.arm.columns]
         u, sigma, vt = np.linalg.svd(columns)
-        rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma.max(initial=0.0)))
+        rank = int(np.count_nonzero(sigma > ROUNDING * sigma.max(initial=0.0)))
         if rank < columns.shape[1]:
             free = self.arm.joint_names[self.arm.columns[int(np.abs(vt[-1]).argmax())]]
             allowed = f"{columns.shape[1]} independent rows; {free!r} is not determined"
@@ -264,7 +262,7 @@ class Actuators(Declared):
             raise InvalidValue("least, most", (least, most), "0 <= least <= most [N]")
         pull = -self.matrix.T
         u, sigma, vt = np.linalg.svd(pull, full_matrices=False)
-        rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma.max(initial=0.0)))
+        rank = int(np.count_nonzero(sigma > ROUNDING * sigma.max(initial=0.0)))
         # Equations with orthonormal rows, which say the same.
         exact = (u[:, :rank].T @ needed) / sigma[:rank]
         size = max(float(np.abs(exact).max(initial=0.0)), float(lower.max()), 1e-30)
@@ -288,7 +286,7 @@ class Actuators(Declared):
         allowed = f"torques that the tendons can exert; joint {joint!r} lacks {abs(lack[worst]):.4g} {unit}"
         full = [name for name, t, top in zip(self.names, nearest, upper, strict=True) if t >= top * FULL]
         if full:
-            allowed += f" with {enumerated([repr(name) for name in full], 4)} at the largest tension"
+            allowed += f" with {enumerated(map(repr, full), 4)} at the largest tension"
         return InvalidValue(f"torque of joint {joint!r}", float(needed[worst]), allowed)
 
     def limits(self, limits: Limits) -> Limits:

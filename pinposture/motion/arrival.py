@@ -109,8 +109,6 @@ STALL = StallTolerances()
 ERROR_ROUNDING = 1e-12
 """Increase of the posture error that is attributed to rounding, in arm lengths."""
 
-STEP_ROUNDING = 1e-9
-"""Relative rounding error of a sum of steps."""
 
 FULL = 1.0 - 1e-6
 """Share of a limit that counts as reached."""

@@ -38,7 +38,6 @@ from pinposture.errors import (
 from pinposture.motion.loop import RunRecord, in_scene
 from pinposture.motion.run import (
     CONFIGURATION_ARRAYS,
-    CONTACT_TOLERANCE,
     RAISE_STEPS,
     STEP_ARRAYS,
     Arrays,
@@ -49,7 +48,7 @@ from pinposture.motion.run import (
 )
 from pinposture.motion.track import name_enough_steps, track, usual_max_steps
 from pinposture.placement import Target
-from pinposture.units import error_text, length_text
+from pinposture.units import CONVERGED, error_text, length_text
 
 if TYPE_CHECKING:
     from pinposture.motion.processes import Progress, Shared
@@ -169,7 +168,7 @@ class Batch:
     def faults(self) -> tuple[str, ...]:
         """Messages on runs that did not converge, penetrations, and postures that no motor can hold."""
         away = np.flatnonzero(~self.converged)
-        inside = np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length)
+        inside = np.flatnonzero(self.clearance < -CONVERGED * self.arm.length)
         found = []
         if len(away):
             found.append(f"{len(away)} of {len(self)} runs did not reach the target")

@@ -37,7 +37,7 @@ from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 from pinposture.schema import Declared, as_plain, read_plain
 from pinposture.storage import with_suffix, write_bytes
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Result = TypeVar("Result")
 About = dict[str, Any]
@@ -326,9 +326,6 @@ _FLAGS = frozenset({"active", "clipped", "error_increasing", "target_mask"})
 COMPARED_ROWS = 500
 """Rows of a loaded run whose control points are compared with its configurations, at most."""
 
-SAME_POINTS = 1e-6
-"""Largest difference of control points that counts as rounding, in arm lengths."""
-
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Raise InvalidValue unless arrays have the expected shapes and types.
@@ -364,7 +361,7 @@ def check_postures(
     for row in rows:
         expected = arm.at(arm.checked(q[row], f"{configurations}[{row}]")).points
         off = float(np.abs(expected - arrays[points][row]).max())
-        if off > SAME_POINTS * arm.length:
+        if off > CONVERGED * arm.length:
             allowed = "those of the configuration in this row"
             raise InvalidValue(f"{points}[{row}]", f"{length_text(off)} off", allowed)
 

@@ -89,10 +89,6 @@ THIRD_DIFFERENCE = 20.0
 """Variance of the third difference of white noise, in variances of the noise."""
 
 
-MOST_NAMED = 6
-"""Most reasons in a representation."""
-
-
 class Estimate(NamedTuple):
     """A number and its interval, by leaving out segments of the log.
 
@@ -366,7 +362,7 @@ class Identification:
         if drives.explained is not None:
             parts.append(f"{drives.explained:.0%} of the variance explained")
         if self.not_identified:
-            parts.append(f"not identified: {enumerated(list(self.not_identified), MOST_NAMED)}")
+            parts.append(f"not identified: {enumerated(self.not_identified)}")
         return f"Identification({'; '.join(parts)})"
 
     @property

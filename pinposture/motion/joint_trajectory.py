@@ -23,6 +23,7 @@ from pinposture.arm import Arm
 from pinposture.arm.configurations import FULL_TURN
 from pinposture.arm.couplings import Drive, joint_axes
 from pinposture.errors import InvalidValue, enumerated
+from pinposture.units import CONVERGED, ROUNDING
 
 START_TOLERANCE = 0.5
 """Largest distance of a continuous joint from the start of a motion, apart from full turns, at which they are
@@ -34,15 +35,6 @@ Array = NDArray[np.float64]
 
 MOST_ROWS = 10_000_000
 """Most rows of a resampled trajectory: 5 GB at 20 joints."""
-MAX_NAMED = 6
-"""Largest number of joints that are listed in a message."""
-
-LARGEST_JUMP = 1e-6
-"""Largest distance between the end of a motion and the start of one that is joined to it [rad or m]; motions
-that are planned from each other meet to 1e-9."""
-
-TIME_TOLERANCE = 1e-9
-"""Relative difference of durations that count as equal."""
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -78,7 +70,7 @@ def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
         "unknown": [name for name in names if name not in expected],
     }
     if any(wrong.values()):
-        listed = {word: enumerated(list(map(repr, joints)), MAX_NAMED) for word, joints in wrong.items()}
+        listed = {word: enumerated(map(repr, joints)) for word, joints in wrong.items()}
         values = "; ".join(f"{word}: {joints}" for word, joints in listed.items() if joints)
         allowed = f"the {len(expected)} joints of the arm in any order ({values})"
         raise InvalidValue("joint_names", names, allowed)
@@ -121,15 +113,13 @@ def step_duration(dt: float | None, known: float | None) -> float:
     if step is None:
         raise InvalidValue("dt", None, "the duration of a step [s]; the limits of this run have none")
     require_positive("dt", step)
-    if known is not None and abs(step - known) > TIME_TOLERANCE * known:
+    if known is not None and abs(step - known) > ROUNDING * known:
         raise InvalidValue("dt", dt, f"{known} s, from the limits of this run, or None")
     return step
 
 
 # Configurations as joint positions.
 
-COUPLING_TOLERANCE = 1e-6
-"""Largest deviation of a coupled joint from its coupling that is attributed to rounding [rad or m]."""
 
 RADIAN = "rad"
 METRE = "m"
@@ -386,8 +376,8 @@ class JointTrajectory:
         times = [motions[0].time]
         for k, (before, after) in enumerate(pairwise(motions), start=1):
             jump = float(np.abs(after.positions[0] - before.positions[-1]).max())
-            if jump > LARGEST_JUMP:
-                allowed = f"at most {LARGEST_JUMP:g} from the end of the one before"
+            if jump > CONVERGED:
+                allowed = f"at most {CONVERGED:g} from the end of the one before"
                 raise InvalidValue(f"motions[{k}] (start)", jump, allowed)
             rest = float(np.diff(before.time[-2:]).sum())
             times.append(times[-1][-1] + rest + after.time - after.time[0])
@@ -491,8 +481,8 @@ class JointTrajectory:
             if name in followers:
                 led = matched._followed([followers[name]]).positions[:, 0]
                 apart = float(np.abs(self.positions[:, number] - led).max())
-                if apart > COUPLING_TOLERANCE:
-                    allowed = f"to follow joint {followers[name].leader!r} to {COUPLING_TOLERANCE:g}"
+                if apart > CONVERGED:
+                    allowed = f"to follow joint {followers[name].leader!r} to {CONVERGED:g}"
                     raise InvalidValue(f"joint {name!r}", f"up to {apart:.3g} off", allowed)
         return matched
 
@@ -608,7 +598,7 @@ class JointTrajectory:
         if self.duration / dt > MOST_ROWS:
             allowed = f"at least {self.duration / MOST_ROWS:.3g} s, for at most {MOST_ROWS} rows"
             raise InvalidValue("dt", dt, allowed)
-        count = int(np.ceil(self.duration / dt * (1.0 - TIME_TOLERANCE))) + 1
+        count = int(np.ceil(self.duration / dt * (1.0 - ROUNDING))) + 1
         time = self.time[0] + dt * np.arange(count)
         return self.from_positions(self.joint_names, self.at(time), time, self.units, self.name)
 

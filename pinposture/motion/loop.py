@@ -18,10 +18,10 @@ from pinposture.control.controller import Info, Memory, next_step
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.motion.arrival import ERROR_ROUNDING, STALL, STEP_ROUNDING
+from pinposture.motion.arrival import ERROR_ROUNDING, STALL
 from pinposture.motion.run import Run
 from pinposture.placement import Target
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -233,9 +233,6 @@ def _as_columns(reports: Sequence[Mapping[str, Info]]) -> dict[str, NDArray[Any]
 
 Callback = Callable[[int, ArmState, Step], object]
 
-MAX_NAMED_LIMITS = 6
-"""Largest number of binding limits and distances that are listed."""
-
 
 class RecordedLoop(Loop):
     """A control loop in equal cycles, with the record of its run.
@@ -361,7 +358,7 @@ class RecordedLoop(Loop):
             allowed = length_text(tolerance, smallest=0.0)
             return "max_steps", f"mean point error {length_text(mean)}, above the tolerance of {allowed}"
         idle = self.record.travel_without_progress()
-        if idle >= STALL.travel * (1.0 - STEP_ROUNDING):
+        if idle >= STALL.travel * (1.0 - ROUNDING):
             error = f"mean point error {length_text(mean)}"
             return "stalled", f"{error}, no progress in the last {idle:.3g} rad of joint travel"
         return "", ""
@@ -377,7 +374,7 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
     """Return a clause naming the joint limits and distances that limited a step."""
     held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.clipped)]
     held += step.near
-    return f"; held by {enumerated(held, MAX_NAMED_LIMITS)}" if held else ""
+    return f"; held by {enumerated(held)}" if held else ""
 
 
 def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:

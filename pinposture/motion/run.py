@@ -25,14 +25,12 @@ from pinposture.motion.held import HeldObject, Stages
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.target import distance_from_curve
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, ROUNDING, length_text
 
 # Velocities and accelerations relative to limits, computed from the configurations of a motion.
 
 Array = NDArray[np.float64]
 
-LIMIT_TOLERANCE = 1e-9
-"""Relative excess over a limit that is attributed to rounding."""
 
 POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 """Relative rounding error of a difference of joint positions."""
@@ -95,7 +93,7 @@ def find_limit_violation(run: Run) -> LimitViolation | None:
             for order, (each, most) in enumerate(zip(shares, largest, strict=True))
         ]
     )
-    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + LIMIT_TOLERANCE)
+    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + ROUNDING)
     if not len(steps):
         return None
     words = []
@@ -173,8 +171,6 @@ controller found none that it can move. "max_steps": no steps or cycles are left
 RAISE_STEPS = "raise max_steps to"
 """How advice on a run that ran out of steps begins; the number of steps that is enough follows."""
 
-CONTACT_TOLERANCE = 1e-6
-"""Largest penetration that is attributed to rounding, in arm lengths."""
 
 HOW_TO_KEEP_CLEAR = "in a scene, such as Scene(), the arm keeps clear of itself"
 """Advice on a motion without a scene that penetrates itself."""
@@ -340,7 +336,7 @@ def find_penetration(motion: Outcome) -> Penetration | None:
     """
     arm = motion.arm
     least = smallest_distance(motion)
-    if least.pair is None or least.distance >= -CONTACT_TOLERANCE * arm.length:
+    if least.pair is None or least.distance >= -CONVERGED * arm.length:
         return None
     clearance = motion.clearance
     if motion.scene is None:
@@ -388,7 +384,7 @@ def find_sag(motion: Outcome) -> Sagged:
     row = min(range(len(q)), key=lambda k: distances[k].distance)
     closest = distances[row]
     faults: tuple[str, ...] = ()
-    if closest.pair is not None and closest.distance < -CONTACT_TOLERANCE * arm.length:
+    if closest.pair is not None and closest.distance < -CONVERGED * arm.length:
         faults = (f"under load, {Penetration(closest.pair, -closest.distance, row)}",)
     return Sagged(off, closest.distance, row, faults)
 

@@ -26,7 +26,7 @@ from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory
-from pinposture.control.limits import POSITION_SLACK, cycle_of
+from pinposture.control.limits import cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
 from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
@@ -42,7 +42,7 @@ from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
 from pinposture.motion.touch import Touch, TouchDetector, read_torques
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 
@@ -848,7 +848,7 @@ class Tracker:
             return ()
         outside = np.maximum(limits.lower - positions, positions - limits.upper) / self.arm.joint_units
         joint = int(outside.argmax())
-        if outside[joint] <= POSITION_SLACK:
+        if outside[joint] <= CONVERGED:
             return ()
         unit = "m" if self.arm.slides[joint] else "rad"
         allowed = f"{limits.lower[joint]:.4g} to {limits.upper[joint]:.4g} {unit}"
@@ -874,7 +874,7 @@ class Tracker:
             return ()
         cut = np.abs(self._sag.cut) / self.arm.joint_units
         joint = int(cut.argmax())
-        if cut[joint] <= POSITION_SLACK:
+        if cut[joint] <= CONVERGED:
             return ()
         unit = "m" if self.arm.slides[joint] else "rad"
         lacking = f"{cut[joint] * self.arm.joint_units[joint]:.3g} {unit}"

@@ -27,6 +27,7 @@ from pinposture.curve import Curve
 from pinposture.errors import UnsupportedModule
 from pinposture.kernels.arrays import CurveModule, ModuleSearch
 from pinposture.kernels.modules import CIRCLE, ROLL_PITCH, TORUS
+from pinposture.units import ROUNDING
 
 # The RyRz module of the thesis rotates by q0 about y, translates by l1 along x, rotates by q1 about z and
 # translates by l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any
@@ -36,9 +37,6 @@ from pinposture.kernels.modules import CIRCLE, ROLL_PITCH, TORUS
 
 Array = NDArray[np.float64]
 Level = Callable[[Array], Array]
-
-SHAPE_TOLERANCE = 1e-9
-"""Largest deviation from a module with a closed form, relative to its length or to one radian."""
 
 
 CROSSING_SAMPLES = 200  # number of curve samples per reach in the search for crossings
@@ -614,7 +612,7 @@ def after_last_mover(chain: Chain, module: int, start: int) -> int:
     stop = int(chain.module_slices[module].stop)
     while stop > start and chain.revolute[stop - 1] and alone[stop - 1]:
         lever = chain.points[module] - chain.origins[stop - 1]
-        if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > SHAPE_TOLERANCE * chain.length:
+        if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > ROUNDING * chain.length:
             break
         stop -= 1
     return stop
@@ -652,14 +650,14 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
         raise refuse("it has coupled joints")
     if not np.all(chain.revolute[joints]):
         raise refuse("it has a sliding joint")
-    none = lengths <= SHAPE_TOLERANCE * lengths.max()
+    none = lengths <= ROUNDING * lengths.max()
     universal = len(axes) == 2 and none[0] and not none[1]
     if np.any(none) and not universal:
         raise refuse("it has a link without length")
     along = links[-1] / lengths[-1]
-    if np.abs(links[~none] / lengths[~none, None] - along).max() > SHAPE_TOLERANCE:
+    if np.abs(links[~none] / lengths[~none, None] - along).max() > ROUNDING:
         raise refuse("it is not straight at its neutral configuration")
-    if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > SHAPE_TOLERANCE * lengths.sum():
+    if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > ROUNDING * lengths.sum():
         raise refuse("its first joint does not sit at its base")
 
     def group(first: int, last: int, base: Array, frame: Array, form: ClosedForm) -> JointGroup:
@@ -668,14 +666,14 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
         return JointGroup(module, placed_joints, column, base, frame, form)
 
     first_link = 0.0 if universal else float(lengths[0])
-    perpendicular = len(axes) == 2 and abs(axes[0] @ axes[1]) < SHAPE_TOLERANCE
-    rolls = float(np.linalg.norm(np.cross(axes[0], along))) < SHAPE_TOLERANCE
+    perpendicular = len(axes) == 2 and abs(axes[0] @ axes[1]) < ROUNDING
+    rolls = float(np.linalg.norm(np.cross(axes[0], along))) < ROUNDING
     if perpendicular and rolls:
         form = RollPitch(first_link, float(lengths[1]), sense=float(np.sign(along @ axes[0])))
         return [group(0, 2, start, _frame(along, axes[1]), form)]
-    if np.abs(axes @ along).max() > SHAPE_TOLERANCE:
+    if np.abs(axes @ along).max() > ROUNDING:
         raise refuse("it has a joint axis that is neither along nor across it")
-    parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < SHAPE_TOLERANCE
+    parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < ROUNDING
     if np.all(parallel) and not universal:
         return [
             group(i, i + 1, stations[i], _frame(along, axes[i]), Circle(float(lengths[i])))

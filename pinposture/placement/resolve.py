@@ -45,7 +45,6 @@ from pinposture.placement.module_kinematics import (
 )
 from pinposture.placement.target import (
     IN_MILLIMETRES,
-    ON_CURVE,
     Moved,
     Placement,
     Target,
@@ -55,7 +54,7 @@ from pinposture.placement.target import (
     length_misfit,
     place_curve,
 )
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -80,7 +79,6 @@ OWN_TOLERANCE = 1e-7  # tolerance of custom kinematics, in reaches of the module
 
 MAX_ASKED = 1000  # number of queries to custom kinematics for the next target point of a module
 
-AT_LIMIT = 1e-6  # distance from a position limit at which a joint counts as at it, in `Arm.joint_units`
 
 GENTLER = "use a gentler curve, wider joint limits or shorter modules"
 AT_THE_BASE = 'use placement="translate" or "align"'
@@ -110,7 +108,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
     placed = _place_modules(arm, curve, samples, near)
     if isinstance(placed.failure, CurveEndsEarly) and placed.failure.module == arm.n_modules:
         # The curve may be as long as the arm, up to rounding: enlarge it about the base.
-        enlarged = curve.moved((1.0 + ON_CURVE) * np.eye(3), -ON_CURVE * arm.chain.base)
+        enlarged = curve.moved((1.0 + ROUNDING) * np.eye(3), -ROUNDING * arm.chain.base)
         again = _place_modules(arm, enlarged, samples, near)
         placed = placed if again.failure is not None else again
     return placed._replace(parameters=np.minimum(placed.parameters, curve.length))
@@ -303,7 +301,7 @@ def _failure(arm: Arm, curve: Curve, group: JointGroup, state: Array, exceeded: 
     crossings = int(state[8])
     module = group.module + 1
     at = float(state[0])
-    slack = ON_CURVE * arm.length
+    slack = ROUNDING * arm.length
     reach = group.kinematics.reach
     off_axis = group.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), group.frame[:, 0])) > 1e-6
     left = curve.length - at
@@ -550,7 +548,7 @@ def _place_together(
     ends = np.minimum(parameters, curve.length)
     residual = _distances(arm, positions, curve, ends)
     failure: TargetError | None = None
-    over = np.flatnonzero(parameters > curve.length + ON_CURVE * arm.length)
+    over = np.flatnonzero(parameters > curve.length + ROUNDING * arm.length)
     spans = np.maximum(arm.chain.spans, arm.chain.module_lengths.mean())
     off = np.flatnonzero(residual > OFF_CURVE * spans)
     bases = np.concatenate([[start], ends[:-1]])
@@ -630,14 +628,14 @@ def _obstruction(
     columns = arm.columns[: arm.chain.input_ends[module]]
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
     names = dict(zip(arm.columns.tolist(), arm.chain.input_names, strict=True))
-    stuck = [int(u) for u in columns if room[u] <= AT_LIMIT]
+    stuck = [int(u) for u in columns if room[u] <= CONVERGED]
     slides = [u for u in stuck if arm.slides[u]]
     if slides and slides == stuck:
         listed = ", ".join(f"{names[u]!r} at {length_text(positions[u])}" for u in slides[:3])
         advice = "move the curve, or widen their limits"
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
-    if gap > ON_CURVE * arm.length and not np.any(arm.base_slides):
+    if gap > ROUNDING * arm.length and not np.any(arm.base_slides):
         return CurveLeavesTooSharply, f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"

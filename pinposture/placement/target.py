@@ -25,7 +25,7 @@ from pinposture.arm import Arm, ArmState, ChainState, JointLoad
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, warn_caller
 from pinposture.schema import quantities
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -311,10 +311,6 @@ def _warn_of_far_points(arm: Arm, points: Array) -> None:
     warn_caller(f"{text}; is it in millimetres, not metres?")
 
 
-ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
-MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] of a curve that count as a change
-
-
 class FarthestPointSettings(NamedTuple):
     """How the point of a link that is farthest from a curve is searched."""
 
@@ -355,14 +351,14 @@ class Moved(NamedTuple):
 
     def __str__(self) -> str:
         parts = []
-        if self.distance > MIN_MOVEMENT:
+        if self.distance > ROUNDING:
             parts.append(f"moved by {length_text(self.distance)}")
-        if self.angle > MIN_MOVEMENT:
+        if self.angle > ROUNDING:
             parts.append(f"turned by {self.angle:.4g} rad")
         return " and ".join(parts) or "where it was drawn"
 
     def __bool__(self) -> bool:
-        return max(self.distance, self.angle) > MIN_MOVEMENT
+        return max(self.distance, self.angle) > ROUNDING
 
 
 class Placement(NamedTuple):
@@ -420,7 +416,7 @@ def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
 
     A base on `Arm.base_slides` that is not on the curve moves to the curve's start.
     """
-    tolerance = ON_CURVE * arm.length
+    tolerance = ROUNDING * arm.length
     if math.dist(curve.start, arm.chain.base) <= tolerance:
         return 0.0, True
     nearest, distance = curve.nearest(arm.chain.base)

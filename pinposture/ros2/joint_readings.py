@@ -10,9 +10,6 @@ from pinposture.arm import Arm
 from pinposture.errors import did_you_mean, enumerated
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 
-MAX_LISTED_JOINTS = 4
-"""Largest number of joints that a reason names."""
-
 
 class JointReading(NamedTuple):
     """What was measured of a joint.
@@ -166,7 +163,7 @@ class JointReadings:
         if not (self._readings or self._others):
             return "no joint states yet"
         hints = [f"{name!r}{did_you_mean(name, sorted(self._others))}" for name in missing]
-        return f"joint states lack {enumerated(hints, MAX_LISTED_JOINTS)}"
+        return f"joint states lack {enumerated(hints)}"
 
 
 def _is_possible(position: float) -> bool:

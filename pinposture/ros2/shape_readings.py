@@ -18,12 +18,7 @@ from pinposture.motion import ShapeEstimator
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.motion.shape_estimator import SIDES, SMALLEST_NOISE
 from pinposture.ros2.clouds import CloudFrames
-from pinposture.ros2.joint_readings import (
-    MAX_LISTED_JOINTS,
-    JointMeasurement,
-    JointReadings,
-    fault_of_stamp,
-)
+from pinposture.ros2.joint_readings import JointMeasurement, JointReadings, fault_of_stamp
 from pinposture.schema import CheckedBy, Declared, Flag, Length, Text, declared, one_of, quantity
 from pinposture.units import length_text
 
@@ -199,7 +194,7 @@ class ShapeReadings:
         link = message.header.frame_id
         sensor = f"imu {link!r}"
         if link not in self._carriers:
-            allowed = enumerated(list(map(repr, self._carriers)), MAX_LISTED_JOINTS)
+            allowed = enumerated(map(repr, self._carriers))
             return self._note(sensor, f"it moves with no control point; allowed: the frames {allowed}")
         fault = self._fault_of_stamp(sensor, stamp_of(message), now)
         turn = self._read_turn(message, *self._carriers[link])
@@ -384,8 +379,8 @@ class ShapeReadings:
         silent += [name for name, stamp in self._stamps.items() if stamp < oldest and name not in silent]
         outliers = [name for name, last in self._outliers.items() if last >= oldest]
         faults = (
-            enumerated(silent, MAX_LISTED_JOINTS),
-            enumerated(outliers, MAX_LISTED_JOINTS),
+            enumerated(silent),
+            enumerated(outliers),
             "; ".join(f"{name}: {fault}" for name, fault in self._faults.items()),
         )
         told = dict(zip(FAULTS, faults, strict=True))

@@ -37,7 +37,7 @@ from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
 from pinposture.quadratic_program import solve
 from pinposture.schema import CheckedBy, Declared, Flag, checked_number, declared, quantity
 from pinposture.sim.contact import ContactModel, add_contact
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -208,10 +208,7 @@ def torques_within_limits(
     return np.clip(torques * scale, lower, upper)
 
 
-POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length, at least 1 m
-
 N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass matrices
-MAX_LISTED = 6  # maximum number of links with the same fault in a warning
 
 
 @dataclass(frozen=True, eq=False)
@@ -486,7 +483,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
     }
     messages = []
     for fault, names in faults.items():
-        links = f"moving link{'s' * (len(names) > 1)} {enumerated(list(map(repr, names)), MAX_LISTED)}"
+        links = f"moving link{'s' * (len(names) > 1)} {enumerated(map(repr, names))}"
         messages.append(f"{links}: {fault}; {correction[fault]}")
     return bodies, tuple(messages)
 
@@ -606,7 +603,7 @@ def _check_control_points(arm: Arm, positions: Array, points: Array, source: str
     """Raise URDFError if the control points in MuJoCo, (m, 3) [m], differ from those of the arm."""
     off = np.linalg.norm(points - arm.at(arm.configuration(positions)).points, axis=1)
     worst = int(off.argmax())
-    if not off[worst] <= POSITION_TOLERANCE * max(1.0, arm.length):
+    if not off[worst] <= ROUNDING * max(1.0, arm.length):
         reason = (
             f"differs by {length_text(off[worst])} between MuJoCo and Pinocchio; the arm is not simulated"
         )

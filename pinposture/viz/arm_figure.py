@@ -14,10 +14,9 @@ from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ArmState, ControlPoints, Ellipsoid
-from pinposture.arm.weight import TORQUE_ROUNDING
 from pinposture.collision import Scene
 from pinposture.collision.bodies import scene_at
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 from pinposture.viz import palette
 from pinposture.viz.drawing import require_type
 from pinposture.viz.palette import THEME
@@ -55,7 +54,7 @@ ARM_FIGURE = ArmFigureLayout()
 LOADS = (
     (0.5, THEME.regular, "o", "torque up to 50 % of its limit"),
     (0.8, THEME.worse, "o", "up to 80 %"),
-    (1.0 + TORQUE_ROUNDING, THEME.active, "o", "up to 100 %"),
+    (1.0 + ROUNDING, THEME.active, "o", "up to 100 %"),
     (np.finfo(np.float64).max, THEME.singular, "X", "beyond its limit"),
     (np.inf, THEME.rest, "s", "limit not known"),
 )

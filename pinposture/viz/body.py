@@ -20,7 +20,7 @@ from pinposture.arm.urdf import parse_xml, read_shape
 from pinposture.collision import Mesh, Obstacle, Scan
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
-from pinposture.errors import FileError, InvalidValue, warn_caller
+from pinposture.errors import FileError, InvalidValue, enumerated, warn_caller
 from pinposture.kernels.arrays import BOX, SEGMENT
 
 Array = NDArray[np.float64]
@@ -146,8 +146,6 @@ class MeshFineness(NamedTuple):
 
 FINENESS = MeshFineness()
 
-_MAX_LISTED = 12  # maximum number of files named in a warning
-
 
 class BodyMeshes(NamedTuple):
     """The meshes of the base, world frame, and of each body from base to tip, body frame; None if missing."""
@@ -196,9 +194,8 @@ def body_meshes(arm: Arm, max_triangles: int = FINENESS.triangles) -> BodyMeshes
         how = "is left out" if coarse is None else f"is drawn with {len(coarse.faces)} triangles"
         faults.update(dict.fromkeys(files[owner], f"{how}, {many}"))
     if faults:
-        listed = [f"{name} {reason}" for name, reason in list(faults.items())[:_MAX_LISTED]]
-        listed += [f"and {len(faults) - _MAX_LISTED} more"] if len(faults) > _MAX_LISTED else []
-        warn_caller(f"links are not drawn with their original meshes: {'; '.join(listed)}")
+        listed = enumerated((f"{name} {reason}" for name, reason in faults.items()), between="; ")
+        warn_caller(f"links are not drawn with their original meshes: {listed}")
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 

@@ -24,6 +24,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Run, Trajectory
 from pinposture.motion.held import obstacle_motions
 from pinposture.placement import Target
+from pinposture.units import CONVERGED
 from pinposture.viz import palette
 from pinposture.viz.body import (
     DrawnBody,
@@ -232,10 +233,6 @@ def require_type(name: str, value: object, *allowed: type) -> None:
         raise InvalidValue(name, value, " or ".join(kinds).replace("a Arm", "an Arm") + "".join(instead))
 
 
-SAME_ARM = 1e-6
-"""Largest distance of control points of the same arm loaded twice, in arm lengths."""
-
-
 def require_fitting(arm: Arm, run: Run | Trajectory | None, target: Target | None) -> None:
     """Raise InvalidValue unless these are an arm, a run or motion and a target that fit each other."""
     require_type("arm", arm, Arm)
@@ -246,7 +243,7 @@ def require_fitting(arm: Arm, run: Run | Trajectory | None, target: Target | Non
     if run is not None and run.arm is not arm:
         recorded = run.arm.at(run.q[0]).points
         shown = arm.at(run.q[0]).points
-        if recorded.shape != shown.shape or np.abs(recorded - shown).max() > SAME_ARM * arm.length:
+        if recorded.shape != shown.shape or np.abs(recorded - shown).max() > CONVERGED * arm.length:
             raise InvalidValue("run.arm", run.arm, f"the arm that is given, {arm!r}")
     if target is not None and target.points.shape != (arm.n_modules, 3):
         raise InvalidValue("target.points (shape)", target.points.shape, f"({arm.n_modules}, 3) for this arm")

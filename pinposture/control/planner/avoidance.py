@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from pinposture.arm import ChainState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
-from pinposture.control.constraint import VIOLATION_ROUNDING, Inequalities, describe_violated, inequalities_of
+from pinposture.control.constraint import Inequalities, describe_violated, inequalities_of
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.torque_limits import StepTorques, Stop, TorqueLimits
 from pinposture.errors import InvalidValue
 from pinposture.quadratic_program import ConstraintRows, Solution
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 
@@ -252,7 +252,7 @@ class Avoidance:
         violation = inequalities_of(self.constraints, state).violation if self.constraints else 0.0
         if self.torques is not None:
             violation = max(violation, self.torques.violation(state))
-        return violation if violation > VIOLATION_ROUNDING * self._length else 0.0
+        return violation if violation > CONVERGED * self._length else 0.0
 
     def near(self, state: ChainState) -> Distances:
         """Return the pairs within the constrained distance; the last result is cached."""
@@ -385,7 +385,7 @@ class Avoidance:
 
     def keeps_constraints(self, q: Array, path: Array) -> NDArray[np.bool_]:
         """Whether each straight motion keeps the constraints, as far as the path may, (N,); see `keeps`."""
-        return self._violations_along(q, path) <= self.tolerated + VIOLATION_ROUNDING * self._length
+        return self._violations_along(q, path) <= self.tolerated + CONVERGED * self._length
 
     def _violations_along(self, q: Array, path: Array) -> Array:
         """Return the largest violation of a constraint on each straight motion, (N,) [m]; see `keeps`."""
@@ -593,7 +593,7 @@ class Avoidance:
         """
         if not self.constrained:
             return False
-        return self._violation_in(state, steps, held) > accepted + VIOLATION_ROUNDING * self._length
+        return self._violation_in(state, steps, held) > accepted + CONVERGED * self._length
 
     def describe_violations(self, state: ChainState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin, and the constraints that are violated."""

@@ -16,7 +16,6 @@ from pinposture.arm.arm import arm_of
 from pinposture.collision import Scene
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import (
-    LIMIT_ROUNDING,
     MAX_STOPPING_STEPS,
     JointBounds,
     Limits,
@@ -46,7 +45,7 @@ from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, Poi
 from pinposture.placement import Target
 from pinposture.placement.points import POINT_FIT, POSTURE_SEARCH
 from pinposture.quadratic_program import Solution
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -102,7 +101,7 @@ FOLLOWING = FollowingSettings()
 PATH_TOLERANCES = PathTolerances(
     disturbed=FOLLOWING.most_deviation,
     arrived=FOLLOWING.arrived,
-    rounding=LIMIT_ROUNDING,
+    rounding=ROUNDING,
     max_motion=PATH.most_step,
 )
 """Tolerances of the steps that a kernel computes ahead."""
@@ -559,7 +558,7 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
         goal,
         arm.multi_turn,
         PATH.short_motion,
-        LIMIT_ROUNDING,
+        ROUNDING,
         PointGoals(targets.targets, targets.flags),
         step,
     )
@@ -616,7 +615,7 @@ def pursue(
         motion = bounds.dt * target.velocity
         steady = True
     elif before is not None and bounds.brake is not None:
-        steady = bool(np.all(np.abs(motion - before.motion) <= bounds.brake * (1.0 + LIMIT_ROUNDING)))
+        steady = bool(np.all(np.abs(motion - before.motion) <= bounds.brake * (1.0 + ROUNDING)))
     if not (target.led or (steady and np.any(motion))):
         return None, goal
     columns = objective.columns
@@ -725,7 +724,7 @@ def _clear_stop(
         return None
     stopping = stopping_on_path(moved)
     changes = np.diff(np.vstack([dq, stopping, np.zeros(len(dq))]), axis=0)
-    if np.any(np.abs(changes) > brake * (1.0 + LIMIT_ROUNDING)):
+    if np.any(np.abs(changes) > brake * (1.0 + ROUNDING)):
         return None
     return avoidance.clear_stop(state, dq, stopping)
 

@@ -22,6 +22,7 @@ from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
 from pinposture.placement import Target
+from pinposture.units import ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -60,9 +61,6 @@ HandBack = Literal["after_stay", "when_possible"]
 RESUMED = "Selection can lower the posture error again"
 
 HANDED_BACK = "the stint of Projection is over, and Selection has control points"
-
-TRAVEL_ROUNDING = 1e-6
-"""Rounding error of sums of steps, as a share of a step."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ class Switching:
         travel = limits.travel(state)
         phase = memory.phase if isinstance(memory, SwitchingMemory) else INITIAL_PHASE
         idle = phase.method == "projection"
-        if idle and phase.left > TRAVEL_ROUNDING * travel:
+        if idle and phase.left > ROUNDING * travel:
             if self.hand_back == "when_possible":
                 resumed = self.selection.step(state, target, limits, memory)
                 if not resumed.reason and self._promises(resumed, state, target, error, travel):
@@ -136,7 +134,7 @@ class Switching:
             entered = phase._replace(method="selection", best=error, waited=0.0)
         else:
             entered = phase._replace(waited=phase.waited + travel)
-        if entered.waited >= self.patience - TRAVEL_ROUNDING * travel:
+        if entered.waited >= self.patience - ROUNDING * travel:
             why = f"the posture error did not fall by {100 * self.progress:g} % in {entered.waited:.3g} rad"
             failed = self._failover(entered, target)
             return self._project(state, target, limits, memory, failed, travel, why)
