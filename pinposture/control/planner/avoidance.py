@@ -338,7 +338,10 @@ class Avoidance:
 
     def intrusion(self, state: ChainState) -> float:
         """Return by how much the nearest pair violates the margin [m]; 0 if all keep it."""
-        return max(0.0, self.margin - self.near(state).minimum)
+        seen = self._seen
+        known = seen is not None and seen[0] is state
+        nearest = self.near(state).minimum if known else self.clearance.minimum_at(state).distance
+        return max(0.0, self.margin - nearest)
 
     def allows(self, state: ChainState) -> bool:
         """Whether all pairs keep the margin at a state, and all constraints are kept."""

@@ -34,8 +34,9 @@ Array = NDArray[np.float64]
 class WithdrawalSettings(NamedTuple):
     """How an arm is drawn back out of an opening along itself."""
 
-    step: float = 0.02
-    """Length of a withdrawal step, in arm lengths. Half of it takes longer."""
+    step: float = 0.04
+    """Length of a withdrawal step, in arm lengths. With half of it, or 1.5 times as much, a first path takes
+    longer (`docs/design/path_search.md`; `make study STUDY=clutter` guards it)."""
 
     near_share: float = 0.3
     """Length of the part of the arm that takes up the slack, in arm lengths. With twice as much, 2 of
@@ -51,8 +52,8 @@ class WithdrawalSettings(NamedTuple):
     failures: int = 3
     """Number of consecutive failed steps that ends a withdrawal."""
 
-    join_every: float = 0.2
-    """Depth of withdrawal between attempts to join the ends, in arm lengths."""
+    join_every: float = 0.3
+    """Depth of withdrawal between attempts to join the ends, in arm lengths; as `step`."""
 
 
 WITHDRAWING = WithdrawalSettings()
@@ -66,6 +67,10 @@ class TreeSearchSettings(NamedTuple):
 
     nodes: int = 2000
     """Largest number of tree nodes of the last attempt."""
+
+    early_turns: int = 32
+    """Number of turns before the most direct path is computed. Most ways that are found within 150 are found
+    within these; among posts they take 4 ms, and 150 take 13 ms (`make study STUDY=clutter`)."""
 
     sampled: int = 16
     """Number of samples that are drawn at once."""
@@ -187,6 +192,7 @@ class PathSearch:
             TREES.step, least, MOTION_TOLERANCE * size, OPEN_MOTION * size, self.avoidance.constrained
         )
         self._trapped = np.zeros(2, dtype=np.bool_)
+        self._between_ends = _Growth(np.zeros(self.arm.nv), self._end, TREES.join_nodes)
         self._share = min(1.0, TREES.few_joints / len(objective.columns))
         self._units = self._share * self.arm.joint_units
         self._positions = self.arm.positions(self._start.q)
@@ -204,10 +210,20 @@ class PathSearch:
         pieces = _even_pieces(float(np.abs(self._end / self._units).max()))
         return FoundPath(np.linspace(0.0, 1.0, pieces + 1)[:, None] * self._end, RELAXATION)
 
-    def connect(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
-        """Return a path that a short tree search between the ends finds, as found; None if there is none."""
+    def connect(
+        self, tell: Callable[[str], None] = lambda _: None, most: int = TREES.join_nodes
+    ) -> FoundPath | None:
+        """Return a path that a short tree search between the ends finds, as found; None if there is none.
+
+        Args:
+            tell: called with what is done.
+            most: number of turns after which the search pauses, at least; the next call goes on.
+        """
+        growth = self._between_ends
+        if growth.over:
+            return None
         tell("tree search")
-        joined = self._connect(np.zeros(self.arm.nv), self._end, TREES.join_nodes)
+        joined = self._grow(growth, most)
         return None if joined is None else FoundPath(joined, TREE_SEARCH)
 
     def path(self, found_path: FoundPath) -> JointPath:
@@ -335,23 +351,27 @@ class PathSearch:
 
     def _connect(self, one: Array, other: Array, nodes: int) -> Array | None:
         """Return offsets from one to the other, (N + 1, nv), by RRT-Connect; None if none were found."""
-        trees = _new_trees(one, other, nodes)
+        return self._grow(_Growth(one, other, nodes), nodes)
+
+    def _grow(self, growth: _Growth, most: int) -> Array | None:
+        """Let trees take turns, about so many in all; return offsets between the roots if they meet."""
+        trees = growth.trees
         model = self.avoidance.clearance
-        samples = other[None]
         refused = False
-        turns = 0
         while perf_counter() < self.until:
             outcome, used = model.grow_trees(
-                self._start.q, self._units, trees, samples, self._settings, refused
+                self._start.q, self._units, trees, growth.samples, self._settings, refused
             )
-            turns += used
-            samples = samples[used:]
+            growth.turns += used
+            growth.samples = growth.samples[used:]
             if outcome == ENDED:
-                self._trapped = trees.counts - 1 < TREES.trapped_share * 0.5 * turns
-                hopeless = nodes == TREES.join_nodes and turns >= TREES.patient_turns and self.is_trapped
-                if hopeless or len(samples) or turns >= nodes:
+                self._trapped = trees.counts - 1 < TREES.trapped_share * 0.5 * growth.turns
+                patient = growth.nodes > TREES.join_nodes or growth.turns < TREES.patient_turns
+                growth.over = (self.is_trapped and not patient) or bool(len(growth.samples))
+                if growth.over or growth.turns >= min(most, growth.nodes):
                     return None
-                samples = self._samples(one, other, min(TREES.sampled, nodes - turns))
+                count = min(TREES.sampled, growth.nodes - growth.turns)
+                growth.samples = self._samples(growth.one, growth.other, count)
             refused = outcome == OPEN and not self.is_clear(_last_edge(trees))
             if outcome == JOINED:
                 return _joined(trees)
@@ -418,16 +438,33 @@ def divide(path: Array, units: Array) -> Array:
     return np.concatenate(parts)
 
 
-def _new_trees(one: Array, other: Array, nodes: int) -> SearchTrees:
-    """Return trees of two roots with room for a number of nodes in all."""
-    trees = SearchTrees(
-        nodes=np.empty((2, nodes + 2, len(one))),
-        parents=np.full((2, nodes + 2), -1, dtype=np.int64),
-        counts=np.ones(2, dtype=np.int64),
-        state=np.array([0, -1, -1, 0], dtype=np.int64),
-    )
-    trees.nodes[:, 0] = one, other
-    return trees
+class _Growth:
+    """Trees of two roots, offsets (nv,), that grow in turns.
+
+    Attributes:
+        one: the first root.
+        other: the second root.
+        nodes: the largest number of nodes in all, and of turns.
+        trees: the trees.
+        samples: offsets towards which they grow next, (s, nv); at first from the first root to the second.
+        turns: number of turns so far.
+        over: whether no more turns are worth while.
+    """
+
+    def __init__(self, one: Array, other: Array, nodes: int) -> None:
+        self.one = one
+        self.other = other
+        self.nodes = nodes
+        self.trees = SearchTrees(
+            nodes=np.empty((2, nodes + 2, len(one))),
+            parents=np.full((2, nodes + 2), -1, dtype=np.int64),
+            counts=np.ones(2, dtype=np.int64),
+            state=np.array([0, -1, -1, 0], dtype=np.int64),
+        )
+        self.trees.nodes[:, 0] = one, other
+        self.samples = other[None]
+        self.turns = 0
+        self.over = False
 
 
 def _last_edge(trees: SearchTrees) -> Array:
@@ -507,8 +544,7 @@ class _Withdrawal:
             self._over = True
             return False
         points = np.column_stack([np.interp(s, self._lengths, axis) for axis in self._curve.T])
-        target = Target.from_points(arm, points, weights)
-        objective = Objective(arm, target, constraints=search.problem.objective.constraints)
+        objective = Objective(arm, Target(points, weights), constraints=search.problem.objective.constraints)
         good = WITHDRAWING.most_error * arm.length
         problem = search.problem._replace(objective=objective, avoidance=None)
         fit = minimize(problem, self._state, good, steps=WITHDRAWING.fit_steps)

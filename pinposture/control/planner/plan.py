@@ -31,7 +31,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import OBJECTIVE, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.path_search import RELAXATION, FoundPath, PathSearch
+from pinposture.control.planner.path_search import RELAXATION, TREES, FoundPath, PathSearch
 from pinposture.control.planner.trajectory_optimization import (
     Penalties,
     RowsAlongPath,
@@ -571,11 +571,12 @@ class _Candidates:
     def find(self, attempt: int) -> Iterator[JointPath]:
         """Find candidates, in this order, as long as none is good enough.
 
-        The most direct path, before which a straight motion of the joints is told if it is clear; one relaxed
-        among the obstacles; one found by search and then relaxed; while none is clear, further relaxed paths.
-        The tree search comes before the first relaxation, which is left out if the search finds no path and
-        an end is trapped, or the arm has many joints. What is found is told at once. With tasks, which a
-        search would disregard, it comes after the first relaxation.
+        The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
+        none is clear, further relaxed paths. Before the most direct path, which takes longer, a straight
+        motion of the joints is told if it is clear, and where it is not, a short tree search is made. The
+        first relaxation is left out if the tree search finds no path and an end is trapped, or the arm has
+        many joints. What is found is told at once. With tasks, which a search would disregard, the tree
+        search comes after the first relaxation.
         """
         search = self._search
         variant = 2 * attempt
@@ -584,13 +585,16 @@ class _Candidates:
         searched = None
         hopeless = False
         if self._tasks is None:
+            straight = search.straight() if attempt == 0 else None
+            if straight is not None:
+                self._clear.append(search.path(straight))
+            elif attempt == 0:
+                searched = self._keep(search.connect(self._search_tells, TREES.early_turns))
             if attempt == 0:
-                straight = search.straight()
-                if straight is not None:  # known long before the most direct path
-                    self._clear.append(search.path(straight))
-                    self._tell("the most direct path")
+                self._tell("the most direct path")
                 yield self.most_direct
-            searched = self._keep(search.connect(self._search_tells))
+            if searched is None:
+                searched = self._keep(search.connect(self._search_tells))
             hopeless = searched is None and (search.is_trapped or too_many)
         if not hopeless:
             yield self._relax(0, variant, count)
@@ -607,7 +611,7 @@ class _Candidates:
     def _keep(self, searched: FoundPath | None) -> FoundPath | None:
         """Keep a path that was found, so that it is told with the next attempt."""
         if searched is not None:
-            self.judge(self._search.path(searched))
+            self._clear.append(self._search.path(searched))
         return searched
 
     def judge(self, path: JointPath) -> bool:
@@ -664,6 +668,7 @@ class _Candidates:
     def _relax_found(self, searched: FoundPath) -> Iterator[JointPath]:
         """Yield a path that was found, shortened and relaxed, and as shortened."""
         search = self._search
+        self._tell(f"shortening a path found by {searched.found_by}")
         searched = search.shorten(searched)
         raw = search.path(searched)
         objective, start, position_limits, _ = search.problem

@@ -20,7 +20,7 @@ from pinposture.control.planner.geodesic import PromptGeodesic, plan_from
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import FoundPath, PathSearch
-from pinposture.control.planner.plan import PlanNeeded, repair
+from pinposture.control.planner.plan import PLAN, PlanNeeded, repair
 from pinposture.control.planner.trajectory_optimization import Penalties, relax_path
 
 MARGIN = 0.005
@@ -157,7 +157,7 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
     state = arm().chain_at(start)
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
-    penalties = Penalties(None, avoidance, 30.0, MARGIN)
+    penalties = Penalties(None, avoidance, PLAN.searched_root, MARGIN)
     _, relaxed = relax_path(objective, state.q, found.offsets, bounds.position_limits, penalties)
     assert relaxed.length < 0.8 * JointPath(objective, start, found.offsets).length
     assert smallest_distance(scene, relaxed.configurations) > MARGIN - 1e-3
@@ -236,6 +236,17 @@ def test_a_path_that_a_map_cuts_on_the_way_is_repaired_and_not_planned_again(
     assert smallest_distance(now, ways) >= MARGIN - 1e-4
 
 
+def test_a_paused_tree_search_goes_on_where_it_stopped() -> None:
+    before, scene = cut_in_the_open(0)
+    ends = before.start, before.configuration(before.end)
+    paused = search(scene, *ends)
+    assert paused.connect(most=1) is None  # the straight motion alone
+    found = paused.connect()
+    whole = search(scene, *ends).connect()
+    assert found is not None and whole is not None
+    np.testing.assert_array_equal(found.offsets, whole.offsets)
+
+
 def test_in_the_open_it_is_one_straight_motion() -> None:
     goal = np.full(40, 0.05)
     scene = pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}, self_collision=False)
@@ -268,8 +279,9 @@ def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
     assert not whole.blocked_by
     assert told[0][0] == "tree search"
     assert any("withdrawing start and goal by" in each for each, *_ in told)
-    _, _, first = next(each for each in told if each[0].startswith("relaxation of a path found"))
-    assert first is not None and not first.blocked_by and first.length > whole.length
+    _, _, first = next(each for each in told if each[2] is not None)
+    assert told[[best for *_, best in told].index(first)][0] == "shortening a path found by withdrawal"
+    assert not first.blocked_by and first.length > 1.5 * whole.length
     assert smallest_distance(scene, first.configurations) > MARGIN - 1e-3
     times = [each for _, each, _ in told]
     assert times == sorted(times)
