@@ -20,8 +20,6 @@ Matrix: TypeAlias = tuple[Vector, Vector, Vector]
 LARGEST_NUMBER = 1e30
 SMALLEST_NUMBER = 1e-30
 """Largest number of any kind, smallest one above 0; no product of ten of them over- or underflows."""
-LARGEST_COUNT = 10**9
-"""Largest count of anything; more would not fit into memory."""
 LARGEST_COORDINATE = 1e9
 """Largest coordinate [m] and joint position [rad or m]; where an arm is known, see `Arm.require_near`."""
 SMALLEST_DISTANCE = 1e-9
@@ -94,7 +92,7 @@ def is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def require_whole(name: str, value: int, least: int, most: int = LARGEST_COUNT) -> int:
+def require_whole(name: str, value: int, least: int, most: int = 10**9) -> int:
     """Return a whole number of at least `least` and at most `most`, else raise InvalidValue."""
     if not (is_whole(value) and least <= value <= most):
         allowed = f"at least {least}" if is_whole(value) and value < least else f"{least} to {most}"

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from pinposture.placement import Target
     from pinposture.task import Task
 
-DPI = 80
-"""Resolution of pictures; 1200 pixels at 120, so that a picture is as wide as a cell."""
-
 
 def register(shell: Any) -> None:
     """Have an IPython shell show what is made here; classes are found by name when the first is shown."""
@@ -250,6 +247,6 @@ def _picture(figure: Figure | None) -> str:
     if figure is None:
         return ""
     image = io.BytesIO()
-    figure.savefig(image, format="png", dpi=DPI)
+    figure.savefig(image, format="png", dpi=80)  # as wide as a cell
     data = base64.b64encode(image.getvalue()).decode()
     return f'<img alt="" style="max-width:100%" src="data:image/png;base64,{data}">'

@@ -58,7 +58,6 @@ from pinposture.errors import InvalidValue, PostureError, UnknownName, did_you_m
 
 # Values and keys in messages: on one line, truncated.
 
-MAX_SHOWN_CHARACTERS = 100
 
 KeyPath = tuple[str | int, ...]
 """The path to a value in a file: keys, and indices of list items from 0."""
@@ -78,7 +77,7 @@ def shown_key(key: str) -> str:
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= MAX_SHOWN_CHARACTERS else text[: MAX_SHOWN_CHARACTERS - 4] + " ..."
+    return text if len(text) <= 100 else text[:96] + " ..."
 
 
 def key_path_in_words(key_path: KeyPath) -> str:

@@ -99,7 +99,6 @@ _MARKS = (
 """First bytes of XML, and the encoding that they mean whatever is declared."""
 
 _DECLARATION = re.compile(r"""(\s*<\?xml\b[^>]*?)\s+encoding\s*=\s*(["'])\s*([A-Za-z0-9._:-]*)\s*\2""")
-_DECLARATION_LENGTH = 400  # bytes of a file among which its declaration is sought
 
 
 def read_xml(path: Path) -> str:
@@ -124,7 +123,7 @@ def decode_xml(content: bytes, source: str | Path) -> str:
     Raises:
         FileError: an unknown encoding, or bytes that are none of its characters.
     """
-    head = content[:_DECLARATION_LENGTH]
+    head = content[:400]  # a declaration comes first
     declared = _DECLARATION.match(head.decode("latin-1"))
     marked = next((name for label, name in _MARKS if head.startswith(label)), None)
     encoding = marked or (declared[3] if declared else "utf-8")

@@ -15,11 +15,8 @@ CONVERGED = 1e-6
 BELOW_ROUNDING = "below rounding"
 """How an error below `ROUNDING` is written."""
 
-SMALLEST_WRITTEN = 1e-7
-"""Shorter lengths are not written as numbers [m]: what is measured is not that exact."""
 
-
-def length_text(length: float, arm_length: float = 0.0, smallest: float = SMALLEST_WRITTEN) -> str:
+def length_text(length: float, arm_length: float = 0.0, smallest: float = 1e-7) -> str:
     """Return a length in words: in millimetres below one metre, in metres from there on.
 
     Args:

@@ -109,8 +109,6 @@ from pinposture.units import CONVERGED, ROUNDING, length_text
 Array = NDArray[np.float64]
 Kept = TypeVar("Kept")
 
-FARTHEST = 1e6
-"""Distance from the base beyond which a coordinate is a mistake, in arm lengths."""
 MAX_KEPT = 16
 """Most values of a kind that an arm keeps in its cache, such as collision models: those made last."""
 
@@ -541,7 +539,7 @@ class Arm(ConfigurationSpace):
             points: one point or many, (..., 3) [m], world frame; allowed are 1e6 arm lengths from the base.
         """
         away = points - self.chain.base
-        farthest = FARTHEST * self.length
+        farthest = 1e6 * self.length  # farther is a mistake
         for where in entries_beyond(away, farthest)[:1]:
             allowed = f"finite numbers within {farthest:.4g} m of the base, 1e6 times the length of the arm"
             raise InvalidValue(f"{name}{where.tolist()}", float(points[tuple(where)]), allowed)

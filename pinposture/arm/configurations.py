@@ -24,8 +24,6 @@ MOST_LINKS = 10_001
 """Most links of a description: 10,000 joints in a row, all but one fixed, take Pinocchio 15 s."""
 SLACK = 1e-4
 """How far outside its limits a joint may be without a warning [rad or m]: rounding to four digits."""
-ATAN2_THRESHOLD = 3.0
-"""Angle up to which Pinocchio's difference of two angles is accurate to full precision [rad]."""
 FULL_TURN = 2.0 * np.pi
 
 
@@ -173,7 +171,8 @@ class ConfigurationSpace:
         displacement = np.array(pin.difference(self.model, start, end))
         for at, dof in self._continuous:
             # Pinocchio computes the angle from its cosine, which loses half the digits near pi.
-            if abs(displacement[dof]) > ATAN2_THRESHOLD:
+            # Pinocchio's difference of angles is accurate to full precision up to here
+            if abs(displacement[dof]) > 3.0:
                 a, b = start[at : at + 2]
                 c, d = end[at : at + 2]
                 displacement[dof] = atan2(a * d - b * c, a * c + b * d)

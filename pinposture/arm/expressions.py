@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, ItemsView, Iterator, KeysView, Mapping, ValuesView
 from contextlib import contextmanager
 from functools import lru_cache, partial, reduce
 from pathlib import Path
@@ -41,8 +41,6 @@ BOUNDS = ExpressionBounds()
 _STEP = 20  # work of a check, or of a round of a comprehension, which takes as long as twenty items
 _WIDEST = re.compile(r"\d{4}")  # widths and precisions of numbers in text, of 1,000 and more
 _CONVERSION = re.compile(r"%(?:\([^)]*\))?[^a-zA-Z%]*")
-_VIEWS: tuple[type, ...] = (type({}.keys()), type({}.values()), type({}.items()))
-_COLLECTIONS: tuple[Any, ...] = (list, tuple, set, frozenset, *_VIEWS)
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "Add": operator.add,
     "BitAnd": operator.and_,
@@ -250,7 +248,7 @@ def _size(value: Any) -> int:
             size += _length(each)
         elif isinstance(each, int):
             size += each.bit_length() // 64
-        elif isinstance(each, _COLLECTIONS):
+        elif isinstance(each, (list, tuple, set, frozenset, KeysView, ValuesView, ItemsView)):
             size += len(each)
             if size <= BOUNDS.items:
                 waiting.extend(each)

@@ -24,7 +24,6 @@ QUARTER_TURN = np.pi / 2
 
 With fewer than four modules per turn, the control points no longer resolve the shape of the curve: each may
 lie on the curve while the chain cuts across its loops."""
-SAMPLES_PER_CURVE = 2000
 MIN_BEND = 0.1
 """Bend of a curve within one module below which it counts as straight [rad]: it deviates from its chord by
 less than 1/80 of the module length."""
@@ -88,7 +87,7 @@ def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: Curve) ->
     span = float(chain.spans.max())
     allowed_curvature = min(_largest_curvature(chain, k, lower, upper) for k in range(len(chain.points)))
     allowed_torsion = QUARTER_TURN / span
-    s = np.linspace(0.0, min(curve.length, chain.length), SAMPLES_PER_CURVE)
+    s = np.linspace(0.0, min(curve.length, chain.length), 2000)
     curvature = np.asarray(curve.curvature(s))
     torsion = _weighted_torsion(s, curvature, np.abs(curve.torsion(s)), span)
     excesses = [

@@ -31,8 +31,6 @@ PARALLEL = 1e-3
 """Largest angle between parallel axes [rad]; files round a quarter turn to 1.571 or even 1.57."""
 ON_AXIS = 1e-6
 """Distance from a joint axis below which the joint does not move a point, relative to the arm length."""
-UNLIMITED_RANGE = 100.0
-"""Range beyond which position limits mean none [arm lengths, or rad]: files use +-1e6 for that."""
 
 
 def neutral_placements(model: pin.Model) -> list[pin.SE3]:
@@ -146,7 +144,7 @@ def find_unlimited(lower: Array, upper: Array, slides: BoolArray, length: float)
 
     These allow more than 100 arm lengths of sliding, or more than 100 rad of rotation.
     """
-    return np.asarray(upper - lower > UNLIMITED_RANGE * np.where(slides, length, 1.0))
+    return np.asarray(upper - lower > 100.0 * np.where(slides, length, 1.0))  # files use +-1e6 for none
 
 
 def find_base_slides(unlimited: BoolArray, revolute: BoolArray) -> BoolArray:

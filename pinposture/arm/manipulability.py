@@ -18,8 +18,6 @@ ControlPoints = int | str | Sequence[int | str]
 
 SECTIONS = ("base", "previous")
 """Start of the moving section: the base, or the previous chosen control point."""
-ZERO_SINGULAR_VALUE = 1e-14
-"""Fraction of the largest singular value below which others are set to zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,7 @@ def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, cent
     axes, radii, _ = np.linalg.svd(filled, full_matrices=False)
     if np.linalg.det(axes) < 0.0:
         axes[:, -1] *= -1.0
-    radii = np.where(radii > ZERO_SINGULAR_VALUE * radii[0], radii, 0.0)
+    radii = np.where(radii > 1e-14 * radii[0], radii, 0.0)  # smaller shares are rounding
     directions = axes.T @ plane
     center = center.copy()
     make_read_only(center, directions, radii)

@@ -48,10 +48,6 @@ Array = NDArray[np.float64]
 
 COMMAND = "pip install 'pinposture[sim]'"
 """How to install MuJoCo."""
-MESH_FILES = (".stl", ".obj")
-"""Suffixes of the mesh files that both MuJoCo and we read."""
-VISIBLE_GROUPS = 3
-"""MuJoCo shows shapes of the groups below this one, unless told otherwise."""
 SAMPLES = 10
 """Configurations at which the kinematics is compared with MuJoCo's."""
 
@@ -594,7 +590,8 @@ def _mesh_files(compiled: _Compiled, source: str | Path) -> dict[int, str]:
     files: dict[int, str] = {}
     for mesh, start in enumerate(model.mesh_pathadr.tolist()):
         path = Path(paths[start:].split(b"\0", 1)[0].decode(errors="replace")) if start >= 0 else Path()
-        if not path.is_absolute() or path.suffix.lower() not in MESH_FILES or not path.is_file():
+        # what both MuJoCo and we read
+        if not path.is_absolute() or path.suffix.lower() not in (".stl", ".obj") or not path.is_file():
             continue
         if mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_MESH, mesh) not in straight:
             continue
@@ -629,7 +626,7 @@ def _write_shapes(link: ET.Element, compiled: _Compiled, body: int, meshes: Mapp
                 _write_solid(link, compiled, shape)
             else:
                 _write_mesh(link, "collision", model, shape, file)
-        if file is not None and model.geom_group[shape] < VISIBLE_GROUPS:
+        if file is not None and model.geom_group[shape] < 3:  # MuJoCo shows those, unless told otherwise
             _write_mesh(link, "visual", model, shape, file)
 
 

@@ -31,7 +31,6 @@ from pinposture.arm.urdf import (
 )
 from pinposture.errors import URDFError
 
-_JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "dynamics")
 _STACK = 16 << 20
 _STACK_PER_LINK = 8 << 10
 """Stack for reading a description, and more for each link and joint, which need 2.3 kB together [bytes]."""
@@ -63,7 +62,8 @@ def build_model(text: str, source: str, unlimited: Collection[str] = ()) -> pin.
         made.extend(element for element in link.findall("inertial") if _is_readable(element))
     for joint in robot.findall("joint"):
         made = SubElement(needed, "joint", joint.attrib)
-        made.extend(element for element in joint if element.tag in _JOINT_PARTS)
+        parts = ("parent", "child", "origin", "axis", "limit", "dynamics")
+        made.extend(element for element in joint if element.tag in parts)
         if joint.get("name") in unlimited:
             _remove_limits(made)
     try:
@@ -110,9 +110,6 @@ def _is_readable(inertial: Element) -> bool:
 
 
 # Models written as URDF.
-
-_MANY_DEGREES = {"FreeFlyer": "floating", "Planar": "planar"}
-"""Types of joints with several degrees of freedom, by their names in Pinocchio."""
 
 
 def model_to_urdf(model: pin.Model, label: str | Path = "pin.Model") -> str:
@@ -178,7 +175,7 @@ def _write_joint(
     v = whole.idx_v
     for number, (part, placement) in enumerate(zip(parts, placements, strict=True), 1):
         kind = part.shortname().removeprefix("JointModel")
-        shape = _MANY_DEGREES.get(kind)
+        shape = {"FreeFlyer": "floating", "Planar": "planar"}.get(kind)
         if shape is None and (part.nv != 1 or kind.startswith("H")):  # helical
             allowed = "joints that turn about an axis or slide along one, free-flyers and planar joints"
             raise URDFError(str(label), f"joint {name!r}", f"is of type {kind}; allowed: {allowed}")

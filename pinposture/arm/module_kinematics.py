@@ -26,10 +26,6 @@ ACROSS = 1e-3
 """Sine of the smallest angle between a joint axis and the module axis at which the joint bends the module."""
 
 
-CHECKED_POSTURES = 8
-"""Number of postures in which registered kinematics are compared with the joints."""
-
-
 @runtime_checkable
 class ModuleKinematics(Protocol):
     """The kinematics of a module, as used by Algorithm 1.
@@ -323,7 +319,7 @@ def _check(recognise: Recogniser, kinematics: object, joints: ModuleJoints) -> N
     low = np.maximum(joints.lower, -np.pi)
     high = np.minimum(joints.upper, np.pi)
     low, high = np.minimum(low, high), np.maximum(low, high)
-    for q in np.random.default_rng(0).uniform(low, high, (CHECKED_POSTURES, joints.dof)):
+    for q in np.random.default_rng(0).uniform(low, high, (8, joints.dof)):
         position, turn = joints.forward(q)
         at, facing = end_of(kinematics, q)
         apart = float(np.linalg.norm(at - position)) / length

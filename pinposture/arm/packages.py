@@ -14,7 +14,6 @@ MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL
 """Environment variables with folders of packages or models, the first of a list first."""
 
 _MANIFEST = "package.xml"
-_IGNORED = ("CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE")
 _SEARCH_DEPTH = 2  # levels of folders searched for packages, as in src/package; each costs ten times the last
 
 
@@ -79,7 +78,8 @@ def _packages_below(top: Path) -> Iterator[Path]:
             if _MANIFEST in files:
                 yield here
             ends = _MANIFEST in files and here != top
-            if ends or set(files) & set(_IGNORED) or len(here.parts) - len(top.parts) >= _SEARCH_DEPTH:
+            ignored = not {"CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE"}.isdisjoint(files)
+            if ends or ignored or len(here.parts) - len(top.parts) >= _SEARCH_DEPTH:
                 inside.clear()
             inside[:] = sorted(entry for entry in inside if not entry.startswith("."))
     except (OSError, ValueError):

@@ -23,9 +23,8 @@ Array = NDArray[np.float64]
 
 POSITION_VECTORS = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
 """Vectors of a model with an entry for each entry of a configuration."""
-_BOUNDED = ("Velocity", "Effort", "DryFriction")
 MOTION_VECTORS = (
-    *(f"{edge}{what}Limit" for edge in ("lower", "upper") for what in _BOUNDED),
+    *(f"{edge}{what}Limit" for edge in ("lower", "upper") for what in ("Velocity", "Effort", "DryFriction")),
     *("damping", "armature", "rotorInertia", "rotorGearRatio"),
 )
 """Vectors of a model with an entry for each degree of freedom."""
@@ -48,9 +47,6 @@ _ENDLESS_JOINT = (
     '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
     '<child link="b"/><axis xyz="{!r} {!r} {!r}"/></joint></robot>'
 )
-_MOST_BODIES = 1_000_000
-_MOST_MULTIPLES = 20_000
-"""Multiples of an axis that are tried; of 2,000 random axes the worst took 1,031."""
 
 
 def _unit_vector(name: str, value: ArrayLike) -> tuple[float, ...]:
@@ -212,7 +208,7 @@ class ModelData(Declared):
 
     name: Text
     gravity: Annotated[Array, CheckedBy(partial(finite_array, shape=(6,)))]
-    bodies: Annotated[int, CheckedBy(partial(as_count, low=1, high=_MOST_BODIES))]
+    bodies: Annotated[int, CheckedBy(partial(as_count, low=1, high=1_000_000))]
     joints: tuple[JointData, ...]
     joint_placements: _Placements
     inertias: _Inertias
@@ -343,7 +339,7 @@ def _endless_joint(axis: Array) -> pin.JointModel:
     Python can make one (Pinocchio 4.1) from a description only. Its axis is normalized, which can change the
     last digit, but not for every multiple of the axis.
     """
-    for multiple in range(1, _MOST_MULTIPLES, 2):
+    for multiple in range(1, 20_000, 2):  # of 2,000 random axes the worst took 1,031
         model = pin.buildModelFromXML(_ENDLESS_JOINT.format(*(multiple * axis).tolist()))
         joint = model.joints[1]
         if np.array_equal(np.ravel(joint.createData().S)[3:], axis):

@@ -583,16 +583,12 @@ def _write_origin(element: Element, origin: Vector, rpy: Vector) -> None:
     SubElement(element, "origin", xyz=numbers_text(origin), rpy=numbers_text(rpy))
 
 
-ANGLE_ROUNDING = 1e-15
-"""Largest error of each entry of a rotation matrix rebuilt from three rounded angles."""
-
-
 def roll_pitch_yaw(rotation: Array) -> Vector:
     """Return the angles of a rotation matrix (3, 3) [rad], with as few digits as needed to reproduce it."""
     angles = np.asarray(pin.rpy.matrixToRpy(rotation))
     for digits in range(3, 17):
         rounded = np.round(angles, digits) + 0.0  # no negative zero
-        if np.abs(pin.rpy.rpyToMatrix(*rounded) - rotation).max() <= ANGLE_ROUNDING:
+        if np.abs(pin.rpy.rpyToMatrix(*rounded) - rotation).max() <= 1e-15:  # the rounding of three angles
             angles = rounded
             break
     return _vector(angles)

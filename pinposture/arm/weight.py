@@ -45,8 +45,6 @@ from pinposture.units import ROUNDING, length_text, number_text
 
 Array = NDArray[np.float64]
 
-DISTANT_CENTER = 2.0
-"""Distance of a centre of mass from its joint beyond which it may be a mistake [arm lengths]."""
 REMEDY = "give masses with pp.weigh(arm, density=...), or in the <inertial> of the description"
 """What to do about links without masses."""
 
@@ -498,7 +496,7 @@ def check_masses(model: pin.Model, urdf: str | None, length: float) -> list[str]
         warnings.append(f"{no}; torques at rest do not depend on them")
     for name, body in bodies.items():
         away = float(np.linalg.norm(body.center))
-        if body.mass > 0.0 and away > DISTANT_CENTER * length:
+        if body.mass > 0.0 and away > 2.0 * length:  # may be a mistake
             where = f"{length_text(away)} from its frame, {away / length:.3g} times the length of the arm"
             warnings.append(f"the centre of mass of {name!r} is {where}; is it in millimetres, not metres?")
     return warnings

@@ -27,12 +27,8 @@ if TYPE_CHECKING:
     from pinposture.placement import Target
 
 STARTS = ("straight", "smooth", "random")
-USUAL_MODULES = 20
-"""Number of modules for which the preset helix is made."""
 LISTS = (".npy", ".csv", ".json")
 """Suffixes of files with the numbers of a start."""
-AMPLITUDES = (0.2, 1.0)
-"""Range of the maximum joint position of a smooth start [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -300,7 +296,7 @@ def read_curve(name: str, arm: Arm, scale: float = 1.0) -> Curve:
     if scale != 1.0:
         raise InvalidValue("--scale", scale, "only with a file; presets are scaled to the arm")
     preset = CURVES[name]
-    wider = max(1.0, USUAL_MODULES / arm.n_modules) if name == "helix" else 1.0
+    wider = max(1.0, 20 / arm.n_modules) if name == "helix" else 1.0  # it is made for 20 modules
     return Curve(preset.knots, arm.length * wider * preset.coefficients, preset.degree)
 
 
@@ -361,7 +357,8 @@ class StartOptions:
         if text == "random":
             return _bend_until_clear(arm, arm.random(rng), scene, f"a random posture, seed {seed}")
         if text == "smooth":
-            drawn = smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
+            # largest joint position [rad or m]
+            drawn = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))
             return _bend_until_clear(arm, drawn, scene, f"a smooth random posture, seed {seed}")
         try:
             listed = Path(text).suffix.lower() in LISTS

@@ -142,7 +142,6 @@ _JOINTS = {
     "speed": "velocity",
 }
 """Headings of the table of joints, and the keys of the values below them; likewise the following."""
-_COUPLED = {"follows": "follows", "ratio": "ratio", "offset": "offset"}
 _MEASURES = {
     "module": "module",
     "control point": "name",
@@ -178,7 +177,7 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
     print_facts({**facts, **notes})
-    joints = _JOINTS | (_COUPLED if coupled else {})
+    joints = _JOINTS | ({"follows": "follows", "ratio": "ratio", "offset": "offset"} if coupled else {})
     told = [
         {**joint, "axis": " ".join(f"{round(x, 4) + 0.0:g}" for x in joint["axis"])}
         for joint in about["joints"]

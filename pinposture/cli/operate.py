@@ -43,9 +43,6 @@ OPERATED = Panel("The operation")
 RATE = 50.0
 """Cycles per second: the loop shares the process with the page."""
 
-SWITCH_INTERVAL = 0.001
-"""Longest time for which the page keeps the loop waiting for the interpreter, several times a cycle [s]."""
-
 
 @dataclass(frozen=True)
 class SimulatedArmOptions:
@@ -132,7 +129,7 @@ def run(
         replay(arm, operation_options.replay, scene, page_options)
         return
     limits = read_limits(arm, limit_options, 1.0 / RATE)
-    sys.setswitchinterval(SWITCH_INTERVAL)
+    sys.setswitchinterval(0.001)  # the page keeps the loop waiting for so long, several times a cycle [s]
     operation = Operation(arm, limits, Control(), operation_options.speed)
     if operation_options.task is not None:
         operation.steps += read_steps(arm, operation_options.task)

@@ -39,10 +39,6 @@ def examples(*lines: str) -> Callable[[Callable[..., None]], Callable[..., None]
     return register
 
 
-UNLIMITED = 10_000
-"""Width of a file or pipe in columns: enough for any table, so that none is truncated."""
-
-
 def print_json(data: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout: null for infinite numbers, such as missing limits; paths as text."""
     typer.echo(json.dumps(_finite(data), indent=2, allow_nan=False, default=str))
@@ -147,7 +143,7 @@ def _print(content: RenderableType) -> None:
     from rich.console import Console
 
     # Not the console's own terminal detection, which forced colours would change.
-    width = None if sys.stdout.isatty() else UNLIMITED
+    width = None if sys.stdout.isatty() else 10_000  # enough for any table, so that none is truncated
     console = Console(width=width, highlight=False)
     with console.capture() as printed:
         console.print(content)
@@ -329,9 +325,6 @@ FILES = FileNames()
 FORMATS = ("npz", "csv", "json", "png", "html")
 """Formats of a saved motion: complete, joints as a table and for ROS, plot, animation."""
 
-FOR_ROBOTS = ("csv", "json")
-"""The formats that are intended for robots."""
-
 
 def run_files(motion: Run, directory: Path) -> list[File]:
     """Return the files of a run in a directory."""
@@ -351,7 +344,7 @@ def motion_files(motion: Trajectory, directory: Path, formats: Sequence[str] = F
     """
     from pinposture.motion import save
 
-    held_back = [kind for kind in formats if motion.faults and kind in FOR_ROBOTS]
+    held_back = [kind for kind in formats if motion.faults and kind in ("csv", "json")]
     if held_back:
         named = " and ".join(f"motion.{kind}" for kind in held_back)
         advice = f"pinposture export {directory} --force writes one anyway"

@@ -222,10 +222,6 @@ def run(
     end_with(motion.faults)
 
 
-RETREAT_BUDGET = 10.0
-"""Time for the search of a way out beside the way in, for one joint [s]."""
-
-
 def _find_retreats(task: Task, reference: Reference, count: int) -> Retreats:
     """Return the ways out of evenly spaced postures, up to the first from which there is none.
 
@@ -251,7 +247,7 @@ def _find_retreats(task: Task, reference: Reference, count: int) -> Retreats:
             hinges or None,
             postures=postures,
             limits=task.limits,
-            budget=RETREAT_BUDGET,
+            budget=10.0,  # for one joint [s]
             until_blocked=True,
             progress=examining,
         )

@@ -30,7 +30,6 @@ Fault: TypeAlias = tuple[str, int, str]
 """Name of a link with unusable geometry, index of the joint that carries it, and the reason."""
 
 STAND_IN_RADIUS = 0.1  # radius of the stand-in capsules, relative to the mean length of a module
-IMPLAUSIBLE_WIDTH = 10.0  # width above which a mesh is probably in millimetres, in arm lengths
 
 
 class Body(NamedTuple):
@@ -111,7 +110,7 @@ def bodies_of(arm: Arm, arm_radius: float | None = None) -> tuple[Body, ...]:
         for body in described
         if body.joint and isinstance(body.shape, Mesh)
     ]
-    if wide and (widest := max(wide))[0] > IMPLAUSIBLE_WIDTH * arm.length:
+    if wide and (widest := max(wide))[0] > 10.0 * arm.length:  # probably in millimetres
         size = f"{length_text(widest[0])} wide, {widest[0] / arm.length:.3g} times as long as the arm"
         advice = 'if it is in millimetres, the description needs <mesh scale="0.001 0.001 0.001">'
         warn_caller(f"the collision mesh of link {widest[1]!r} is {size}; {advice}")

@@ -170,10 +170,6 @@ class Poses(NamedTuple):
     positions: Array
 
 
-_SOUND = 1e100
-"""Distances this large are failures of coal [m]."""
-
-
 class Contact(NamedTuple):
     """Distance, normal and nearest point of two solids.
 
@@ -211,9 +207,6 @@ NO_PAIR = -1
 
 _PLACES = ("lines", "centers", "frames", "halves")
 """What tells in `Pairs` where obstacles are."""
-
-_WITH_RADIUS = (SEGMENT, PIECE, INSIDE)
-"""Kinds of obstacles whose radius counts apart from the primitive."""
 
 
 class DistanceBuffers(NamedTuple):
@@ -333,7 +326,7 @@ class PairDistances:
         self._coarse = np.array([False] * len(bodies) + [solid.coarse for solid in fixed], dtype=np.bool_)
         deep = np.zeros(len(fixed)) if depths is None else np.asarray(depths, dtype=np.float64)
         self._depths = np.concatenate([np.zeros(len(bodies)), deep])
-        round_radii = [solid.radius if solid.kind in _WITH_RADIUS else 0.0 for solid in fixed]
+        round_radii = [solid.radius if solid.kind in (SEGMENT, PIECE, INSIDE) else 0.0 for solid in fixed]
         nothing = np.zeros(0, dtype=np.int64)
         self._arrays = Pairs(
             first=nothing,
@@ -755,7 +748,7 @@ class PairDistances:
             for request in narrow.requests:
                 result.clear()
                 distance = coal.distance(one, here, other, pose, request, result)
-                if abs(distance) < _SOUND:
+                if abs(distance) < 1e100:  # larger ones are failures of coal
                     distances[k] = distance - self._left_out[pair]
                     break
         return distances

@@ -143,7 +143,6 @@ Array = NDArray[np.float64]
 _COMMENTS = ("#", "//")
 _LINES = "lines of three numbers or more, x y z first or where the line before them names x, y and z"
 _XYZ = {"x", "y", "z"}
-_GREY = 180  # colour of parts without colours, if other parts of the file have colours
 _MAX_HEADER = 100_000  # maximum size of the header of a PLY file [bytes]
 
 
@@ -350,10 +349,11 @@ def _join(parts: list[ReadScan]) -> ReadScan:
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False) if part.faces is not None]
     colors = None
+    grey = 180
     if any(part.colors is not None for part in parts):
         colors = np.concatenate(
             [
-                np.full(part.points.shape, _GREY, dtype=np.uint8) if part.colors is None else part.colors
+                np.full(part.points.shape, grey, dtype=np.uint8) if part.colors is None else part.colors
                 for part in parts
             ]
         )

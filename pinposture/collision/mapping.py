@@ -34,9 +34,6 @@ from pinposture.kernels.occupancy import CELLS, EDGE, FULL_EVIDENCE
 Array = NDArray[np.float64]
 Unknown: TypeAlias = Literal["free", "forbidden"]
 
-UNSEEN = ("free", "forbidden")
-"""What cells can count as that nothing has been seen in."""
-
 
 class MapSettings(NamedTuple):
     """How far a map reaches, and what it keeps."""
@@ -179,7 +176,7 @@ class Map:
         content: MapContent | None = None,
     ) -> None:
         require_instance("arm", arm, Arm | None, "an Arm, or None")
-        require_known("unknown", unknown, UNSEEN)
+        require_known("unknown", unknown, ("free", "forbidden"))
         require_instance("content", content, MapContent | None, "a MapContent, or None")
         self.arm = arm
         self.resolution = length("resolution", resolution)

@@ -62,8 +62,6 @@ ALWAYS_CLOSE = "within the margin however the arm bends"
 ALWAYS_OVERLAPPING = "overlapping in every posture"
 """Reasons for excluding a pair that also cause a warning."""
 
-IN_PLANE = 1e-3
-"""In-plane share of a normal below which a planar arm gets another escape direction."""
 
 MOTION_TOLERANCE = 1e-4
 OPEN_MOTION = 5e-3
@@ -860,7 +858,7 @@ class CollisionModel:
         normals = near.normals.copy()
         lost = ~normals.any(axis=1)
         if len(self._plane) == 2:
-            across = np.linalg.norm(normals @ self._plane.T, axis=1) < IN_PLANE
+            across = np.linalg.norm(normals @ self._plane.T, axis=1) < 1e-3  # the share in the plane
             lost |= across & (near.distances < self.scene.margin)
         for k in np.flatnonzero(lost):
             point = near.points[k] - near.distances[k] * near.normals[k]

@@ -60,7 +60,6 @@ Array = NDArray[np.float64]
 
 VERSION = 1
 USUAL_MARGIN = 0.005  # the clearance to keep unless another one is given [m]
-MAX_LISTED_OBSTACLES = 8  # maximum number of obstacles that `repr` names individually
 PROBE_RADIUS = 1e-6  # radius of the sphere that represents a point [m]
 
 
@@ -494,7 +493,7 @@ class Scene(Declared):
 
     def __repr__(self) -> str:
         named = ", ".join(self.obstacles) or "no obstacles"
-        if len(self.obstacles) > MAX_LISTED_OBSTACLES:
+        if len(self.obstacles) > 8:
             first, *_, last = self.obstacles
             named = f"{len(self.obstacles)} obstacles, {first} to {last}"
         itself = "" if self.self_collision else ", self-collision off"

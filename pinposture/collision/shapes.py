@@ -51,7 +51,6 @@ from pinposture.storage import settled
 Array = NDArray[np.float64]
 
 MAX_PLAUSIBLE_WIDTH = 30.0  # width of a surface above which its unit is probably not metres [m]
-MAX_BUILT_MESHES = 256  # maximum number of meshes of a `MeshShape` that are cached
 
 
 def is_closed(faces: NDArray[np.integer]) -> bool:
@@ -80,8 +79,6 @@ Symmetry: TypeAlias = Literal["none", "axis", "ball"]
 
 UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-
-CONVEX = 1e-7  # relative tolerance of the volumes of a convex mesh and its hull
 
 Size = Annotated[float, CheckedBy(length, "length")]
 """A length above 0 [m]."""
@@ -657,7 +654,7 @@ class MeshShape(Described):
         )
 
 
-@lru_cache(maxsize=MAX_BUILT_MESHES)
+@lru_cache(maxsize=256)
 def _built(shape: MeshShape) -> Mesh:
     what = f"{type(shape).__name__}.build()"
     try:
@@ -737,4 +734,4 @@ def _is_convex(vertices: Array, faces: NDArray[np.intp]) -> bool:
         return False
     a, b, c = (vertices[faces[:, k]] - vertices[0] for k in range(3))
     volume = abs(float(np.einsum("ti,ti->", np.cross(a, b), c))) / 6.0
-    return whole >= SMALLEST_LENGTH**3 and abs(volume - whole) <= CONVEX * whole
+    return whole >= SMALLEST_LENGTH**3 and abs(volume - whole) <= 1e-7 * whole

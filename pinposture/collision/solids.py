@@ -16,7 +16,6 @@ from pinposture.kernels.arrays import SEGMENT, Trees
 Array = NDArray[np.float64]
 
 MAX_PIECES = 64  # maximum number of pieces, a power of two; a body has one contact with each
-LEAF_SIZE = 4  # maximum number of points or triangles in a node of the last level
 
 
 class Tree:
@@ -34,7 +33,7 @@ class Tree:
         count = len(corners)
         most = count.bit_length() - 1  # so that no node is empty
         wide = MAX_PIECES.bit_length() - 1
-        deep = (-(-count // LEAF_SIZE) - 1).bit_length()
+        deep = (-(-count // 4) - 1).bit_length()  # down to four corners
         self.levels = 1 + min(max(deep, wide), most)
         order = np.arange(count)
         self.boxes = np.zeros((2**self.levels, 2, 3))

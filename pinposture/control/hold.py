@@ -28,15 +28,10 @@ Array = NDArray[np.float64]
 EDGES = 16
 """Edges of the pyramid in a cone of friction: it is at most 2 % narrower."""
 
-CLOSED = 1e-6
-"""Share of an equal distribution that each push has in force closure; HiGHS keeps equalities to 1e-7."""
 
 NORMAL_PUSH = 0.01
 """Cost of a push along the normal, relative to one along an edge of the cone of friction, where an arm
 squeezes. A tenth and ten times of it changed no torque; tests/sim/test_sim_wrap.py measures the forces."""
-
-UNBOUNDED_PROGRAM = 3
-"""Status of `scipy.optimize.linprog` where there is no largest value."""
 
 
 class Hold(NamedTuple):
@@ -296,7 +291,8 @@ def _is_closed(wrenches: Array) -> bool:
         b_eq=np.eye(7)[-1],
         bounds=(0.0, None),
     )
-    return bool(solution.success and solution.x[-1] * count > CLOSED)
+    # of an equal distribution; HiGHS keeps equalities to 1e-7
+    return bool(solution.success and solution.x[-1] * count > 1e-6)
 
 
 def _largest_mass(arm: Arm, holding: Array, wrenches: Array, torques: Array) -> float:
@@ -323,6 +319,6 @@ def _largest_mass(arm: Arm, holding: Array, wrenches: Array, torques: Array) -> 
         b_eq=np.zeros(6),
         bounds=(0.0, None),
     )
-    if solution.status == UNBOUNDED_PROGRAM:
+    if solution.status == 3:  # there is no largest value
         return float("inf")
     return max(0.0, float(solution.x[-1])) if solution.success else 0.0

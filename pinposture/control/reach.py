@@ -38,9 +38,6 @@ from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 
-OBJECTIVES = ("dexterity", "torque")
-"""What postures can be chosen and improved for."""
-
 
 class PostureSearchSettings(NamedTuple):
     """How postures that reach a goal with the tip are searched, chosen and improved."""
@@ -210,7 +207,7 @@ def reach(
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if not (limits is None or isinstance(limits, Limits)):
         raise InvalidValue("limits", limits, "a Limits(...), or None")
-    require_known("objective", objective, OBJECTIVES)
+    require_known("objective", objective, ("dexterity", "torque"))
     if objective == "torque":
         arm.require_masses()
         if limits is None or limits.effort is None:

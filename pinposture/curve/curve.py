@@ -170,7 +170,7 @@ class Curve(Geometry):
         along, zero, quarter = _frame(np.asarray(axis))
         if handedness == "left":
             quarter = -quarter
-        spans = math.ceil(_SPANS_PER_TURN * turns)
+        spans = math.ceil(256 * turns)  # the error of torsion is 1.2e-7
         step = 2 * math.pi * turns / spans
         # The coefficients of a quintic spline with uniform knots lie on a helix, too. It is wider by a factor
         # that follows from the values 1, 26, 66, 26, 1 (of 120) of the basis at the knots. The knots extend
@@ -280,7 +280,7 @@ class Curve(Geometry):
         """The control points, (n, 3) [m], if the curve has the form of `spline`; else None."""
         knots = self.knots - self.knots[0]
         even = clamped_uniform_knots(len(self.coefficients), self.degree)
-        return self.coefficients if np.abs(knots / knots[-1] - even).max() <= _KNOT_TOLERANCE else None
+        return self.coefficients if np.abs(knots / knots[-1] - even).max() <= 1e-12 else None
 
     def controlled(self, count: int, degree: int = 3) -> Curve:
         """Approximate this curve by one controlled by a few points, as in `spline`.
@@ -423,7 +423,6 @@ class Curve(Geometry):
 
 
 _TABLES = (".csv", ".txt")
-_PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 _HEADING = re.compile(r"([xyz])(?: *[\[(] *(m|cm|mm) *[\])]|_(m|cm|mm))?")
 
 
@@ -465,7 +464,7 @@ def _table(path: Path, text: str) -> list[list[float]]:
             if headings not in (["x", "y"], ["x", "y", "z"]) or len(units) > 1:
                 allowed = "x, y or x, y, z, all in one unit (m; or x [mm], x [cm])"
                 raise FileError(path, f"line {number}: columns {', '.join(fields)}; allowed: {allowed}")
-            per_metre = _PER_METRE[units.pop()]
+            per_metre = {"m": 1.0, "cm": 100.0, "mm": 1000.0}[units.pop()]
             continue
         row = []
         for column, value in enumerate(values, start=1):
@@ -524,8 +523,6 @@ class ComparisonSamples(NamedTuple):
 COMPARISON = ComparisonSamples()
 
 
-_SPANS_PER_TURN = 256  # gives a torsion error of 1.2e-7 for a quintic
-_KNOT_TOLERANCE = 1e-12  # deviation from uniform knots, relative to the whole range
 _FIT_DEGREE = 3
 _PENALTY_ORDER = 3  # order of the penalised derivative; the second would flatten the ends
 

@@ -19,8 +19,6 @@ from pinposture.kernels.arrays import LengthArrays, SplineArrays
 Array = NDArray[np.float64]
 
 MAX_DEGREE = 5
-GAUSS_NODES = 12
-"""Gauss nodes per piece of the arc length."""
 
 
 class CurveTolerances(NamedTuple):
@@ -141,7 +139,7 @@ def trim(whole: SplineArrays, begin: float, end: float) -> Parts:
 
 def _rule() -> Array:
     """Return the integration rule of `kernels.measure_length`, (N, 1 + N + N + 1) for N Gauss nodes."""
-    n = GAUSS_NODES
+    n = 12
     nodes, weights = legendre.leggauss(n)
     # Values at the nodes -> Legendre coefficients of their interpolant (the discrete transform is exact).
     modes = legendre.legvander(nodes, n - 1) * weights[:, None] * (np.arange(n) + 0.5)
@@ -174,9 +172,6 @@ def rounding(coefficients: Array) -> float:
 
 Made = TypeVar("Made", bound="Geometry")
 Lengths = Sequence[float] | NDArray[Any]
-
-_MIN_PIECES = 256  # minimum number of pieces of a curve in the search for the nearest point
-_MAX_SAMPLES = 10_000_000
 
 
 class Nearest(NamedTuple):
@@ -338,7 +333,7 @@ class Geometry:
 
     def resample(self, n: int) -> Array:
         """Return n >= 2 points at equal steps of arc length from start to end, shape (n, 3) [m]."""
-        return self.at(np.linspace(0, self.length, as_count("n", n, 2, _MAX_SAMPLES)))
+        return self.at(np.linspace(0, self.length, as_count("n", n, 2, 10_000_000)))
 
     def nearest(self, points: ArrayLike) -> Nearest:
         """Find the nearest points of the whole curve.
@@ -358,7 +353,8 @@ class Geometry:
             one = False
         checked = as_points(np.asarray(points)[None] if one else points, least=0)
         spline, length = self.measured
-        nearest = kernels.nearest_places(spline, length, _MIN_PIECES, checked)
+        pieces = 256  # at least, among which the nearest is sought
+        nearest = kernels.nearest_places(spline, length, pieces, checked)
         parameter = nearest[:, 0].copy()
         distance = nearest[:, 1].copy()
         return Nearest(parameter[0], distance[0]) if one else Nearest(parameter, distance)

@@ -39,10 +39,6 @@ from pinposture.units import ROUNDING
 Array = NDArray[np.float64]
 
 
-BALANCED = 1e-7
-"""Largest error of torques from tensions, relative to the torques: the tolerance of the quadratic program."""
-
-
 class Tendon(NamedTuple):
     """A tendon that runs along the arm at a fixed position in its cross-section.
 
@@ -271,7 +267,8 @@ class Actuators(Declared):
         if balanced is not None:
             tensions = np.clip(size * balanced, lower, upper)
             lack = np.abs(pull @ tensions - needed)
-            if lack.max(initial=0.0) <= BALANCED * max(float(np.abs(needed).max()), size * sigma.max()):
+            # the tolerance of the quadratic program
+            if lack.max(initial=0.0) <= 1e-7 * max(float(np.abs(needed).max()), size * sigma.max()):
                 return tensions
         raise self._lacking(pull, needed, lower, upper)
 

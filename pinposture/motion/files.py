@@ -320,12 +320,6 @@ def _format_of(kind: type, name: str, value: object) -> Format:
 
 # What the parts of a result must be, for all formats.
 
-_TEXTS = frozenset({"status", "reason", "closest", "violated_constraints"})
-_FLAGS = frozenset({"active", "clipped", "error_increasing", "target_mask"})
-
-COMPARED_ROWS = 500
-"""Rows of a loaded run whose control points are compared with its configurations, at most."""
-
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Raise InvalidValue unless arrays have the expected shapes and types.
@@ -340,10 +334,10 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[
             raise InvalidValue(f"{name} (shape)", array.shape, str(expected))
         kinds = "biuf"
         allowed = "numbers"
-        if name in _FLAGS:
+        if name in {"active", "clipped", "error_increasing", "target_mask"}:
             kinds = "b"
             allowed = "True or False"
-        elif name in _TEXTS:
+        elif name in {"status", "reason", "closest", "violated_constraints"}:
             kinds = "U"
             allowed = "text"
         if array.dtype.kind not in kinds:
@@ -357,7 +351,7 @@ def check_postures(
     for name in (configurations, points):
         require_finite(name, arrays[name])
     q = arrays[configurations]
-    rows = np.unique(np.linspace(0, len(q) - 1, COMPARED_ROWS).round().astype(np.intp))
+    rows = np.unique(np.linspace(0, len(q) - 1, 500).round().astype(np.intp))
     for row in rows:
         expected = arm.at(arm.checked(q[row], f"{configurations}[{row}]")).points
         off = float(np.abs(expected - arrays[points][row]).max())
@@ -602,7 +596,6 @@ _NO_MOTION = {
     "pinposture-run": "contains a run without times; pp.load(file) returns it as a Run",
     "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
 }
-_JOINTS = "pinposture-joint-trajectory"
 register(Format("pinposture-run", 6, Run, "run", _check_run, _NO_RUN))
 register(
     Format(
@@ -610,6 +603,7 @@ register(
     )
 )
 register(Format("pinposture-batch", 5, Batch, "batch", _check_batch, {}, _pack_batch, _unpack_batch))
+_JOINTS = "pinposture-joint-trajectory"
 register(
     Format(_JOINTS, 1, JointTrajectory, "joint trajectory", lambda _: None, {}, _pack_joints, _unpack_joints)
 )

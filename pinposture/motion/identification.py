@@ -82,13 +82,6 @@ class IdentificationSettings(NamedTuple):
 IDENTIFICATION = IdentificationSettings()
 
 
-NORMAL = 0.6745
-"""Median size of normal noise, in standard deviations."""
-
-THIRD_DIFFERENCE = 20.0
-"""Variance of the third difference of white noise, in variances of the noise."""
-
-
 class Estimate(NamedTuple):
     """A number and its interval, by leaving out segments of the log.
 
@@ -588,7 +581,8 @@ def _noise(times: Array, positions: Array) -> float:
     third = np.diff(positions[known], n=3)[usual[:-2] & usual[1:-1] & usual[2:]]
     if not len(third):
         return 0.0
-    noise = float(np.median(np.abs(third)) / NORMAL / np.sqrt(THIRD_DIFFERENCE))
+    # of normal noise, the median size; of white noise, the variance of the third difference
+    noise = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0))
     moves = np.abs(np.diff(positions[known]))
     quantum = float(moves[moves > 0.0].min(initial=np.inf)) if np.any(moves > 0.0) else 0.0
     return noise or float(quantum / np.sqrt(12.0))  # most rows repeat a value of a coarse encoder

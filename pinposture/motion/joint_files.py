@@ -189,8 +189,6 @@ def _number(path: Path, number: int, headings: Sequence[str], column: int, field
 
 # Tables of logs: columns of any kinds in any order, the time of any clock, and numbers may be missing.
 
-MISSING = ("", "-", "nan", "null", "none")
-"""What stands for a missing number, in lower case."""
 
 _IGNORED = ("velocity", "acceleration")
 _COLUMN = re.compile(rf"(.+?)[ _.](position|command|effort|{'|'.join(_IGNORED)})(?: ?\[([^\[\]]*)\])?")
@@ -268,7 +266,7 @@ def read_columns(path: Path, kind: str, joint_names: Sequence[str] = ()) -> Colu
 
 def _as_number(field: str) -> float | None:
     """Return a number, NaN for a missing one; None for text."""
-    if field.lower() in MISSING:
+    if field.lower() in ("", "-", "nan", "null", "none"):
         return nan
     try:
         return float(field)

@@ -26,7 +26,6 @@ from pinposture.motion.ros import is_bag, read_bag
 
 Array = NDArray[np.float64]
 
-NANOSECOND = 1e-9
 
 Times = ArrayLike
 """Times of rows: seconds, also since an epoch, (N,); seconds and nanoseconds, (N, 2); or the interval [s]."""
@@ -115,7 +114,7 @@ class Log:
         last = float(np.nanmax(self.time))
         begin = float(np.nanmin(self.time))
         end = float(np.nanmax(self.command_time))
-        if last <= first or begin > end + OVERLAP:
+        if last <= first or begin > end + 1.0:  # measurements may begin a second after the last command
             spans = f"{begin:.6g} to {last:.6g} s, and commands {first:.6g} to {end:.6g} s"
             raise InvalidValue("time", spans, "measurements and commands at the same time, on one clock")
 
@@ -176,10 +175,6 @@ class Log:
         return f"Log({self.positions.shape[1]} joints, {rows}, {span:.4g} s)"
 
 
-OVERLAP = 1.0
-"""Time after the last command within which measurements may begin [s]."""
-
-
 def _table(name: str, values: ArrayLike, columns: int | None = None, rows: int | None = None) -> Array:
     """Return a table of numbers, of which some may be missing, as NaN."""
     words = f"numbers of shape ({rows or 'k'}, {columns or 'n'})"
@@ -213,7 +208,7 @@ def _read_times(name: str, clock: Times, rows: int) -> Clock:
         raise InvalidValue(name, clock, f"finite times below {LATEST:g} s")
     whole = np.floor(seconds)
     rest = seconds - whole
-    return Clock(whole, rest if times.ndim == 1 else rest + NANOSECOND * times[:, 1])
+    return Clock(whole, rest if times.ndim == 1 else rest + 1e-9 * times[:, 1])
 
 
 LATEST = 1e12

@@ -78,10 +78,6 @@ class Loop:
         return Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
 
 
-MAX_CONSTRAINTS = 8
-"""Largest number of violated constraints that are recorded for each step."""
-
-
 class RunRecord:
     """The states and steps of a run so far.
 
@@ -209,7 +205,8 @@ class RunRecord:
             clipped=np.array([step.clipped for step in steps], dtype=bool).reshape(len(steps), arm.nv),
             error_increasing=np.array([step.error_increasing for step in steps], dtype=bool),
             violated_constraints=np.array(
-                ["\n".join(step.violated_constraints[:MAX_CONSTRAINTS]) for step in steps], dtype=np.str_
+                ["\n".join(step.violated_constraints[:8]) for step in steps],  # the first are enough to know
+                dtype=np.str_,
             ),
             clearance=np.array(self._distances),
             info=_as_columns([step.info for step in steps]),

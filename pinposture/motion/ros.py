@@ -11,7 +11,7 @@ from contextlib import suppress
 from itertools import chain, count, pairwise
 from math import floor, nan
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -30,9 +30,6 @@ WORLDS = ("world", "map")
 
 MAX_DOF = 200
 """Degrees of freedom up to which link frames are written; a `pin.Data` then takes 370 MB."""
-
-BAG_VERSION: Final = 8
-"""Version of the metadata of a bag, readable by all distributions since Humble."""
 
 
 def world_frame(arm: Arm) -> str:
@@ -57,7 +54,6 @@ MAX_SECONDS = 2**31 - 1
 """Largest int32 [s]."""
 
 POINT_ARRAYS = ("positions", "velocities", "accelerations", "effort")
-POINT = (*POINT_ARRAYS, "time_from_start")
 DURATION = ("sec", "nanosec")
 
 
@@ -134,7 +130,7 @@ def read_ros_message(path: Path) -> JointTrajectory:
     times: list[int] = []
     tables: dict[str, list[list[float]]] = {name: [] for name in POINT_ARRAYS}
     for k, point in enumerate(points):
-        _check_fields(path, f"points[{k}]", point, POINT)
+        _check_fields(path, f"points[{k}]", point, (*POINT_ARRAYS, "time_from_start"))
         times.append(_time(path, k, point.get("time_from_start", {}), times[-1] if times else -1))
         for name in POINT_ARRAYS:
             tables[name].append(_numbers(path, k, name, point.get(name, []), len(joints)))
@@ -301,7 +297,8 @@ def write_bag(
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as draft:
             bag = Path(draft) / path.stem
-            with Writer(bag, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+            # readable by all distributions since Humble
+            with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
                 for topic, _, message in messages:
                     topics[topic] = message.__msgtype__
                 for topic, kind in topics.items():

@@ -32,10 +32,6 @@ from pinposture.units import CONVERGED, ROUNDING, length_text
 Array = NDArray[np.float64]
 
 
-POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-"""Relative rounding error of a difference of joint positions."""
-
-
 class LimitViolation(NamedTuple):
     """Violations of velocity, acceleration and jerk limits in a motion.
 
@@ -85,7 +81,8 @@ def find_limit_violation(run: Run) -> LimitViolation | None:
     shares = (*joint_shares(run), torque_shares(run.arm, run.q, run.limits))
     for share in shares[1:]:
         share[run.steps - 1] = share[run.steps - 1 :].max(axis=0)
-    rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
+    ends = np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0)
+    rounding = 8.0 * float(np.finfo(np.float64).eps) * (1.0 + ends)  # of a difference of positions
     largest = (bounds.bound, bounds.acceleration, bounds.jerk, None)
     over = np.stack(
         [
@@ -170,10 +167,6 @@ controller found none that it can move. "max_steps": no steps or cycles are left
 
 RAISE_STEPS = "raise max_steps to"
 """How advice on a run that ran out of steps begins; the number of steps that is enough follows."""
-
-
-HOW_TO_KEEP_CLEAR = "in a scene, such as Scene(), the arm keeps clear of itself"
-"""Advice on a motion without a scene that penetrates itself."""
 
 
 class Excess(Protocol):
@@ -289,7 +282,8 @@ class Outcome:
             return (*faults, *self.touched)
         deepest = find_penetration(self)
         if deepest is not None:
-            faults.append(str(deepest) + ("" if self.scene is not None else f"; {HOW_TO_KEEP_CLEAR}"))
+            advice = "; in a scene, such as Scene(), the arm keeps clear of itself"
+            faults.append(str(deepest) + (advice if self.scene is None else ""))
         return (*faults, *self.sag_faults)
 
 

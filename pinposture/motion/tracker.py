@@ -52,9 +52,6 @@ logger = logging.getLogger(__name__)
 MIN_CYCLE = 1e-4
 """Shortest duration of a cycle, relative to the nominal one."""
 
-LONGEST_ARM = 2.0
-"""Largest distance of a point of the arm from the axis of a joint, in arm lengths: shapes may extend beyond
-the control points."""
 
 SLOW = 0.001
 """Velocity from which the lead of drives counts their friction in full, in `Arm.joint_units` per second. With
@@ -905,7 +902,8 @@ class Tracker:
         if self._clearance is None or self._clearance[0] is not self.scene or self.scene is None:
             return True
         _, before, closest = self._clearance
-        arms = np.where(self.arm.slides, 1.0, LONGEST_ARM * self.arm.length)
+        # shapes may extend beyond the control points
+        arms = np.where(self.arm.slides, 1.0, 2.0 * self.arm.length)
         return bool(closest.distance - np.abs(positions - before) @ arms < self.scene.margin)
 
     def _describe_clearance(self, closest: Closest) -> tuple[str, ...]:

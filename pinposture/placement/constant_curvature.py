@@ -15,12 +15,6 @@ from pinposture.placement.module_kinematics import AHEAD, curve_crossings, first
 
 Array = NDArray[np.float64]
 
-ON_SURFACE = 1e-7
-"""Largest distance of a point from the surface reachable by the end, relative to the length."""
-
-STRETCH_SAMPLES = 400
-"""Number of curve samples in the search for the least stretch where the section must stretch."""
-
 
 @dataclass(frozen=True)
 class ConstantCurvature:
@@ -76,7 +70,7 @@ class ConstantCurvature:
         across = np.hypot(y, z)
         half = float(np.arctan2(np.hypot(y, z), x))
         length = float(self._lengths(np.array([[x, y, z]]))[0])
-        slack = max(self.stretch, 0.0) + ON_SURFACE * self.length
+        slack = max(self.stretch, 0.0) + 1e-7 * self.length  # so far off the surface that the end reaches
         if not abs(length - self.length) <= slack or half >= np.pi:
             return []
         direction = np.array([-z, y]) / across if across > 0.0 else np.zeros(2)
@@ -91,7 +85,7 @@ class ConstantCurvature:
         first = first_facing(crossings, lambda p: bool(p[0] >= 0.0))
         if first is not None or not self.stretch:
             return first
-        ahead = np.linspace(start + AHEAD * self.reach, start + self.reach * np.pi, STRETCH_SAMPLES)
+        ahead = np.linspace(start + AHEAD * self.reach, start + self.reach * np.pi, 400)
         ahead = ahead[ahead < curve.length] if start < curve.length else ahead[:0]
         ahead = np.append(ahead, curve.length) if start < curve.length else ahead
         points = (np.asarray(curve.at(ahead)).reshape(-1, 3) - base.translation) @ base.rotation

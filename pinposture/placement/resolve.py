@@ -72,12 +72,8 @@ It is not zero for "closest" because some joints move no control point.
 FAR = 0.1
 """Largest shift of a curve's start and link distance from the curve without a warning, in arm lengths."""
 
-FAR_AWAY = 10.0
-"""Shift of a curve that suggests another unit of length, in arm lengths."""
 
 OWN_TOLERANCE = 1e-7  # tolerance of custom kinematics, in reaches of the module or radians
-
-MAX_ASKED = 1000  # number of queries to custom kinematics for the next target point of a module
 
 
 GENTLER = "use a gentler curve, wider joint limits or shorter modules"
@@ -258,7 +254,7 @@ class Walk:
         columns = arm.columns[group.inputs]
         lower = arm.limits.lower[columns]
         upper = arm.limits.upper[columns]
-        for _ in range(MAX_ASKED):
+        for _ in range(1000):  # more, and the next point of a module may never come
             following = point_after(kinematics, base, self._curve, s)
             if following is None:
                 break
@@ -437,7 +433,7 @@ def far_moved(arm: Arm, what: str, moved: Moved) -> str:
     """Return the warning about a curve that was moved far without an explicit `placement`."""
     share = f"{moved.distance / arm.length:.2g} of the arm length"
     advice = 'placement="as_is" keeps it in place, "align" moves it without this warning'
-    if moved.distance > FAR_AWAY * arm.length:
+    if moved.distance > 10.0 * arm.length:  # another unit of length
         advice = IN_MILLIMETRES
     return f"{what} was {moved} to the base of the arm ({share}); {advice}"
 

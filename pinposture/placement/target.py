@@ -32,9 +32,6 @@ Array = NDArray[np.float64]
 
 RESOLVE_AGAIN = "the target belongs to another arm: resolve it for this one"
 
-MAX_POSTURE_ERROR = 0.01
-"""Mean distance of the points of a target on a curve from the posture at its configuration, in arm lengths,
-beyond which it belongs to another arm."""
 
 MAX_LENGTH_RATIO = 100
 """Length of a curve, and distance of a point from the base, that suggest another unit, in arm lengths."""
@@ -202,7 +199,7 @@ class Target:
         if self.q is None or self.curve is None:
             return
         missed = self.mean_distance(arm.chain_at(self.q).points)
-        allowed = MAX_POSTURE_ERROR * arm.length
+        allowed = 0.01 * arm.length  # farther, it belongs to another arm
         if missed > allowed:
             name = "mean distance of target.points from the posture of this arm at target.q [m]"
             raise InvalidValue(name, float(f"{missed:.3g}"), f"{allowed:.3g} at most; {RESOLVE_AGAIN}")

@@ -445,9 +445,6 @@ class Bending:
 
 # Smooth transitions between motions.
 
-CROSSFADE_SHARE = 0.25
-"""Duration of a transition to other configurations, as a share of the time between two keyframes."""
-
 
 def smooth_step(x: Array) -> Array:
     """Rise from 0 at x = 0 to 1 at x = 1, constant outside, with zero velocity and acceleration at both."""
@@ -457,7 +454,7 @@ def smooth_step(x: Array) -> Array:
 
 def window(rows: int) -> int:
     """Return the number of rows of a transition, of those from one keyframe to the next."""
-    return max(int(CROSSFADE_SHARE * (rows - 1)), 1)
+    return max(int(0.25 * (rows - 1)), 1)  # of the time between two keyframes
 
 
 def ramp(rows: int, first: Array, last: Array) -> Array:

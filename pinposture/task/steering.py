@@ -61,9 +61,6 @@ STEERING = SteeringSettings()
 AHEAD = np.zeros(2)
 """The curvature of a straight line."""
 
-VERTICAL = 1e-3
-"""Angle between arm and gravity below which "up" is not opposite to gravity [rad]."""
-
 
 class Arcs(NamedTuple):
     """Circular arcs, each from where the one before ends.
@@ -561,7 +558,7 @@ def entry_frame(axis: Array, gravity: Array) -> Array:
     """
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
-    if np.linalg.norm(np.cross(axis, up)) < VERTICAL:
+    if np.linalg.norm(np.cross(axis, up)) < 1e-3:  # [rad]: no way is up
         up = np.array([1.0, 0.0, 0.0])
     left = np.cross(up, axis)
     left = left / np.linalg.norm(left)

@@ -100,7 +100,6 @@ from pinposture.toml import TomlLayout, Usual
 
 Array = NDArray[np.float64]
 
-_KEYFRAME = re.compile(r"keyframe (\d+)")
 _PHASE = re.compile(r"phase (\d+)")
 
 
@@ -421,7 +420,7 @@ class Task:
             return _at_phase(document, error)
         if isinstance(error, InvalidValue) and error.name in ("repeat", "start"):
             return document.fault((error.name,), f"is {shown(error.value)}; allowed: {error.allowed}")
-        number = _KEYFRAME.match(message)  # the message begins with its subject
+        number = re.match(r"keyframe ([0-9]+)", message)  # the message begins with its subject
         line = document.line(("keyframes", int(number[1]) - 1) if number else ("keyframes",))
         return FileError(document.path, message if line is None else f"line {line}: {message}")
 
@@ -674,10 +673,6 @@ def _kind(task: Task) -> str:
     return "phases" if is_phased(task.motion) else "keyframes"
 
 
-ROTATION_TOLERANCE = 1e-12
-"""Largest difference of rotations, which angles in a file do not preserve to the last bit."""
-
-
 def _differences(task: Task, parts: Task) -> list[str]:
     """Return the names of the attributes that differ, arm and descriptions aside."""
     plain = ("limits", "controller", "scene", "continuity", "repeat", "formats", "name", "scans")
@@ -717,7 +712,7 @@ def _same_keyframe(one: Keyframe, other: Keyframe) -> bool:
 def _close(one: Array | None, other: Array | None) -> bool:
     if one is None or other is None:
         return one is other
-    tolerance = ROTATION_TOLERANCE
+    tolerance = 1e-12  # angles in a file do not preserve rotations to the last bit
     return one.shape == other.shape and bool(np.allclose(one, other, rtol=tolerance, atol=tolerance))
 
 

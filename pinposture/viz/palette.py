@@ -387,16 +387,12 @@ def add_footnote(figure: Figure, *details: str) -> None:
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=THEME.quiet, parse_math=False)
 
 
-LAP = re.compile(r", lap \d+$")  # in the name of a keyframe of a repeated tour
-
-
 def placement_text(run: Run | Trajectory) -> str:
     """Describe how curves were moved from their original placement; empty if none was moved."""
     if isinstance(run, Trajectory):
-        placed = (
-            f"{LAP.sub('', waypoint.name)} {waypoint.moved}" for waypoint in run.waypoints if waypoint.moved
-        )
-        moved = dict.fromkeys(placed)  # once for all laps
+        placed = [waypoint for waypoint in run.waypoints if waypoint.moved]
+        laps = ", lap [0-9]+$"
+        moved = dict.fromkeys(f"{re.sub(laps, '', waypoint.name)} {waypoint.moved}" for waypoint in placed)
         return f"curves: {', '.join(moved)}" if moved else ""
     return f"curve {run.target.moved} to the base of the arm" if run.target.moved else ""
 

@@ -14,8 +14,6 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-FINITE_STEP = 1e-5
-"""Largest joint motion of finite differences of Jacobians, in `Arm.joint_units`."""
 
 NEAREST = 1e-3
 """Distance from an obstacle below which the slope of its potential is constant, as a share of `within`."""
@@ -52,7 +50,7 @@ class JointSpeeds:
             return np.zeros(arm.nv)
         # Second derivatives of positions are symmetric: the weighted sum over rows of (dJ/dq_u) v is the
         # derivative of J^T times the weights along v.
-        step = FINITE_STEP / largest
+        step = 1e-5 / largest  # of finite differences, in `Arm.joint_units`
         ahead, back = (
             _stacked(arm.at(arm.integrate(state.q, sign * step * speeds * arm.joint_units)), target)[0]
             for sign in (1.0, -1.0)

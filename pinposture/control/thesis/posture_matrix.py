@@ -19,9 +19,6 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-VALUE_TOLERANCE = 1e-12
-"""Residual at which the search for a singular value ends, relative to its square."""
-
 
 class PostureMatrix:
     """A posture control matrix J = L Q, (4.6) and (5.9), in factored form.
@@ -89,9 +86,7 @@ class PostureMatrix:
         return np.asarray(np.linalg.svd(blocks, compute_uv=False))
 
     def _extreme(self, smallest: bool) -> float:
-        found = kernels.extreme_value(
-            self._screws.points, self._rows, self._factors, smallest, VALUE_TOLERANCE
-        )
+        found = kernels.extreme_value(self._screws.points, self._rows, self._factors, smallest, 1e-12)
         return float(found)
 
 

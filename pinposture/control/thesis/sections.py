@@ -270,9 +270,6 @@ def _scores(edges: NDArray[np.intp], logs: Array, score: SectionScore) -> Array:
 # have at best (sqrt(5) - 1) / 2. A score that multiplies indices, such as (4.8), would penalise every such
 # section even in its best posture; indices relative to the best avoid this.
 
-ALWAYS_SINGULAR = 1e-3
-"""Best index below which a section counts as always singular, and its indices are not normalised."""
-
 
 def best_index(lengths: tuple[float, ...]) -> float:
     """Return the largest manipulability index of a planar chain of revolute joints over all postures.
@@ -385,7 +382,8 @@ def _best_indices(chain: Chain, strides: tuple[int, ...]) -> Array:
                 lengths = _section_lengths(chain, start, start + stride)
                 if 2 <= len(lengths) <= 3:
                     found = best_index(lengths)
-                    row[start + stride] = found if found > ALWAYS_SINGULAR else 1.0
+                    # below, the section counts as always singular
+                    row[start + stride] = found if found > 1e-3 else 1.0
     return best
 
 

@@ -130,14 +130,6 @@ def _conditions(
     return clears, np.triu(indices[1:, 1:] > relative, 1) & clears[:, None] & clears[None, :]
 
 
-MAX_COUNTED_MODULES = 50
-"""Largest number of modules that count towards the arm length to which conditioning is relative."""
-
-NO_CONDITIONING = 1e-12  # a bound on singular values that drops no point
-
-SCORES = ("auto", "error", "geometric", "thesis")
-
-
 @dataclass(frozen=True)
 class Selection:
     """Selection method with its parameters; the defaults come from `benchmarks/studies/parameters.py`.
@@ -187,7 +179,7 @@ class Selection:
         object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("conditioning", self.conditioning)
         require_positive("null_gain", self.null_gain, zero=True)
-        require_known("score", self.score, SCORES)
+        require_known("score", self.score, ("auto", "error", "geometric", "thesis"))
         object.__setattr__(self, "strides", checked_strides(self.strides))
 
     @classmethod
@@ -198,7 +190,8 @@ class Selection:
         (4.8). No point is dropped for conditioning. The null-space term (4.7), summed over active points, is
         zero.
         """
-        return cls(score="thesis" if planar else "error", conditioning=NO_CONDITIONING, null_gain=0.0)
+        no_point = 1e-12
+        return cls(score="thesis" if planar else "error", conditioning=no_point, null_gain=0.0)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -253,7 +246,7 @@ class Selection:
     def _conditioned(self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which of the points keep the posture control matrix well conditioned."""
         kept = np.empty(len(chosen), dtype=bool)
-        counted = arm.length * min(1.0, MAX_COUNTED_MODULES / arm.n_modules)
+        counted = arm.length * min(1.0, 50 / arm.n_modules)
         least = self.conditioning * counted
         kernels.well_conditioned(screws, _full_rows(arm, chosen), least, kept)
         return kept

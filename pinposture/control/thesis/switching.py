@@ -58,10 +58,6 @@ class SwitchingMemory(Memory):
 HandBack = Literal["after_stay", "when_possible"]
 """When Selection takes over again; see `Switching`."""
 
-RESUMED = "Selection can lower the posture error again"
-
-HANDED_BACK = "the stint of Projection is over, and Selection has control points"
-
 
 @dataclass(frozen=True)
 class Switching:
@@ -128,7 +124,7 @@ class Switching:
                 resumed = self.selection.step(state, target, limits, memory)
                 if not resumed.reason and self._promises(resumed, state, target, error, travel):
                     entered = phase._replace(method="selection", best=error, waited=0.0)
-                    return _labelled(resumed, entered, RESUMED)
+                    return _labelled(resumed, entered, "Selection can lower the posture error again")
             return self._project(state, target, limits, memory, phase, travel, "")
         if idle or error < phase.best * (1.0 - self.progress):
             entered = phase._replace(method="selection", best=error, waited=0.0)
@@ -140,7 +136,8 @@ class Switching:
             return self._project(state, target, limits, memory, failed, travel, why)
         step = self.selection.step(state, target, limits, memory)
         if not step.reason:
-            return _labelled(step, entered, HANDED_BACK if idle else "")
+            over = "the stint of Projection is over, and Selection has control points"
+            return _labelled(step, entered, over if idle else "")
         if idle and target.q is None:  # Selection cannot take over yet
             return self._project(state, target, limits, memory, phase, travel, "")
         failed = self._failover(entered, target)
