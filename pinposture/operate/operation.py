@@ -69,7 +69,8 @@ class Shown(NamedTuple):
         measured: the measured configuration, (nq,); None if it is not known.
         commanded: the commanded configuration, (nq,); None before something was held.
         scene: what the arm keeps clear of, with what was seen of it.
-        mode: "holds", "goes to the start", "runs", "stands" (the tip cannot move) or "waits" (for the arm).
+        mode: "holds", "goes to the start", "runs", "stands" (the tip cannot move) or "waits" (for the
+            arm, or for a way around something).
         reason: why it holds, waits or is slower than asked for; empty if all is well.
         report: that of the tracker after the last cycle; None before it.
         line: points of the way of the tip, (n, 3) [m].
@@ -338,6 +339,8 @@ class Operation:
             rate = 0.0
             released = "another way is planned by now: release, look, and hold again"
         waits = self._reason_to_wait(tracker.report, rate * self.ways.driven < 0.0)
+        if rate > 0.0:
+            waits = waits or self.ways.go_around(scene)
         target = self.ways.drive(0.0 if waits else rate, scene)
         way = self.ways.way
         if target is None or way is None:
@@ -347,7 +350,7 @@ class Operation:
         self._way_in.add(way.q)
         self._mode = "waits" if waits else "stands" if way.reason and not way.rate else "runs"
         self._reason = waits or way.reason or "; ".join(tracker.report.violated_constraints)
-        return ""
+        return "" if rate or way.rate else released
 
     def _end_of_way(self, rate: float, otherwise: str) -> str:
         """Stand at the end of a way as long as it is held; return why the arm has to hold."""

@@ -13,6 +13,9 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import JointPath, Limits, plan
 from pinposture.control.limits import cycle_of
+from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.damped_least_squares import PlanningProblem
+from pinposture.control.planner.plan import repair
 from pinposture.curve import Curve
 from pinposture.errors import FileError, TaskError
 from pinposture.motion.latest import Done, Latest
@@ -22,7 +25,7 @@ from pinposture.task import Leader, Task
 from pinposture.task.phases import is_phased
 from pinposture.task.retreat import WayIn, can_retreat, nearest_posture
 from pinposture.task.steering import describe_contact, margin_back, moving_target
-from pinposture.task.wrap import path_through, rows_in_time
+from pinposture.task.wrap import path_through, places_in_time
 
 Array = NDArray[np.float64]
 
@@ -36,6 +39,10 @@ class WaySettings(NamedTuple):
     retreat_budget: float = 20.0
     """The same for the way out of an arm with a joint that is stuck [s]; the search took 0.6 s in the median
     and 17 s at most in `make study STUDY=retreat`."""
+
+    samples: int = 60
+    """Number of postures of a way that are shown, and looked at when there are other obstacles: 1 ms for an
+    arm of 16 joints and a ball. What comes too close between them is noticed by the step that leads there."""
 
     handles: int = 6
     """Control points of the curve along the arm, of which the first stays."""
@@ -58,6 +65,7 @@ class PlannedWay:
         goal: the configuration at its end, (nq,).
         rate: how fast it is driven, relative to the limits; negative: back.
         reason: why the last step was not as asked for; empty if it was.
+        path: the path.
 
     Args:
         path: the path.
@@ -69,7 +77,10 @@ class PlannedWay:
     def __init__(self, path: JointPath, limits: Limits, name: str, driven: bool = False) -> None:
         self.arm = path.arm
         self.name = name
-        self._rows = rows_in_time(path, limits)
+        self.path = path
+        self._places = places_in_time(path, limits)
+        self._offsets = path.smooth_offset(self._places)
+        self._rows = np.asarray(path.arm.integrate(path.start, self._offsets))
         self.goal = np.array(self._rows[-1])
         self.end = len(self._rows) - 1
         self.at = float(self.end) if driven else 0.0
@@ -84,6 +95,7 @@ class PlannedWay:
             easing = max(easing, float((fastest[moving] / most[moving]).max(initial=0.0)))
         self._ease = 1.0 / easing
         self._model: CollisionModel | None = None
+        self._cut: str | None = None  # what is in the way on the rest of it; None: not looked for
 
     @property
     def q(self) -> Array:
@@ -98,8 +110,17 @@ class PlannedWay:
     @property
     def line(self) -> Array:
         """Points of the way of the tip, (n, 3) [m], world frame."""
-        rows = self._rows[np.unique(np.linspace(0, self.end, 60).astype(int))]
-        return np.array([self.arm.chain_at(q).points[-1] for q in rows])
+        return np.array([self.arm.chain_at(q).points[-1] for q in self._samples(0)])
+
+    @property
+    def rest(self) -> Array:
+        """Displacements from where it is driven to it and the waypoints ahead, (n, nv) [rad or m]."""
+        row = self._row(self.at)
+        share = self.at - row
+        place = (1.0 - share) * self._places[row] + share * self._places[row + 1]
+        here = (1.0 - share) * self._offsets[row] + share * self._offsets[row + 1]
+        ahead = self.path.offsets[int(place) + 1 :] - here
+        return np.vstack([np.zeros((1, self.arm.nv)), ahead])
 
     def move(self, rate: float, scene: Scene) -> Target:
         """Drive it on for a cycle, or back.
@@ -112,21 +133,44 @@ class PlannedWay:
             The target of this cycle, with its velocity.
         """
         before = self.q
-        if self._model is None or self._model.scene is not scene:
-            self._model = CollisionModel(self.arm, scene)
+        model = self._among(scene)
         faster = self.rate + float(np.clip(rate - self.rate, -self._ease, self._ease))
         stop = 0.5 * faster * max(abs(faster) / self._ease - 1.0, 0.0)
-        self.reason = self._describe_contact(self._model, self.at + faster + stop)
+        self.reason = self._describe_contact(model, self.at + faster + stop)
         if self.reason:  # it was known before that it can stop on the way to there
             braked = float(np.copysign(max(abs(self.rate) - self._ease, 0.0), self.rate))
             faster = min(faster, braked, key=abs) if faster * braked > 0.0 else 0.0
-            stopped = self._describe_contact(self._model, self.at + faster)
+            stopped = self._describe_contact(model, self.at + faster)
             faster = 0.0 if stopped else faster
         self.rate = faster
         self.at = self._within(self.at + faster)
         if self.at in (0.0, float(self.end)):
             self.rate = 0.0
         return moving_target(self.arm, before, self.q, self._dt)
+
+    def obstruction(self, scene: Scene) -> str:
+        """Return which pair comes too close on the rest of the way; empty if none does."""
+        model = self._among(scene)
+        if self._cut is None:
+            ahead = self._samples(int(self.at))
+            contacts = (describe_contact(model, self.q, q, scene.margin) for q in ahead)
+            self._cut = next(filter(None, contacts), "")
+        return self._cut or ("" if self.rate else self.reason)
+
+    def _samples(self, first: int) -> Array:
+        """Return some of its rows, from one on, (n, nq)."""
+        return self._rows[np.unique(np.linspace(first, self.end, WAYS.samples).astype(int))]
+
+    def _among(self, scene: Scene) -> CollisionModel:
+        """Return the distances from the obstacles of a scene."""
+        if self._model is None or self._model.scene is not scene:
+            self._model = CollisionModel(self.arm, scene)
+            self._cut = None
+        return self._model
+
+    def _row(self, at: float) -> int:
+        """Return the row before a time [cycles] that has another one behind it."""
+        return min(int(at), self.end - 1)
 
     def _within(self, at: float) -> float:
         """Return a time [cycles], or that of the nearer end if it is beyond."""
@@ -144,7 +188,7 @@ class PlannedWay:
 
     def _configuration(self, at: float) -> Array:
         """Return the configuration at a time [cycles], (nq,)."""
-        row = min(int(at), self.end - 1)
+        row = self._row(at)
         step = self.arm.difference(self._rows[row], self._rows[row + 1])
         return np.asarray(self.arm.integrate(self._rows[row], (at - row) * step))
 
@@ -176,12 +220,14 @@ class WantedWay(NamedTuple):
         q: where the arm is, (nq,).
         scene: what it keeps clear of.
         find: finds the path.
+        instead_of: the way whose rest it replaces; None: it is a way of its own.
     """
 
     name: str
     q: Array
     scene: Scene
     find: FindPath
+    instead_of: PlannedWay | None = None
 
 
 class Ways:
@@ -208,6 +254,8 @@ class Ways:
         self._led: WayIn | None = None
         self._led_to: Array | None = None
         self._found: Done[WantedWay, PlannedWay] | None = None
+        self._failed: WantedWay | None = None  # the way around something that was not found last
+        self._why_not = ""
         self._finder: Latest[WantedWay, PlannedWay] = Latest(
             self._find, "pinposture-ways", deliver=self._deliver
         )
@@ -239,24 +287,53 @@ class Ways:
             return None
         self._found = None
         way = done.answer
-        if way is None:
-            self.say(f"{done.request.name}: no way: {done.error}")
-            return None
-        away = np.abs(way.arm.difference(q, way.start)) / way.arm.joint_units
-        if away.max() > LEADERS.rejoined:
-            self.say(f"{way.name}: the arm has moved since the way was planned")
+        request = done.request
+        fault = "" if way is not None else f"no way: {done.error}"
+        if way is not None and not _is_at(way.arm, q, way.start):
+            fault = "the arm has moved since the way was planned"
+        replaced = request.instead_of
+        if way is None and replaced is not None:
+            self._failed = request
+            self._why_not = f"; around what is on it {fault}"
+        elif fault and replaced is None:
+            self.say(f"{request.name}: {fault}")
+        if way is None or fault or replaced not in (None, self.way):
             return None
         self._keep()
         self.way = way
-        self._show(way)
+        self._show(way, new=replaced is None or not _is_at(way.arm, way.goal, replaced.goal))
         return way
 
+    def go_around(self, scene: Scene) -> str:
+        """Have the rest of the way planned anew if an obstacle of a scene is on it; returns at once.
+
+        A way that is found takes the place of the one that is planned. It has its number, and so is driven
+        while that is held, unless it ends elsewhere, as the end is blocked by now. If none is found, the way
+        that there is can be driven as far as it is clear; there another one is searched for each time that
+        the scene has changed.
+
+        Returns:
+            Why the arm has to wait for it; empty if it can go on.
+        """
+        way = self.way
+        cut = "" if way is None else way.obstruction(scene)
+        if way is None or not cut:
+            return ""
+        failed = self._failed
+        if failed is not None and failed.instead_of is way:
+            stands = bool(way.reason) and not way.rate
+            if failed.scene is scene or not stands:
+                return ""
+        if not (way.rate or self._finder.working or self._found is not None):
+            self._finder.ask(WantedWay(way.name, way.q, scene, around(way, self._limits), way))
+        return f"{cut}; a way around it is looked for"
+
     def drive(self, rate: float, scene: Scene) -> Target | None:
-        """Drive the way on for a cycle, or back, as `PlannedWay.move`; None at its end."""
+        """Drive the way on for a cycle, or back, as `PlannedWay.move`; None beyond its ends."""
         way = self.way
         if rate < 0.0 and (way is None or way.at == 0.0):
             way = self._before() or way
-        if way is None or (way.rate == 0.0 and way.at == (way.end if rate > 0.0 else 0.0)):
+        if way is None or (rate and not way.rate and way.at == (way.end if rate > 0.0 else 0.0)):
             return None
         self.way = way
         target = way.move(rate, scene)
@@ -317,14 +394,15 @@ class Ways:
             self._keep()
         return self._driven.pop() if self._driven else None
 
-    def _show(self, way: PlannedWay) -> None:
-        """Say how far a way is driven."""
+    def _show(self, way: PlannedWay, new: bool = True) -> None:
+        """Say how far a way is driven, which may be new, or the rest of the one that is shown."""
         shown = self.planned
-        text = f"{way.name}: {100.0 * way.at / way.end:.0f} % driven"
+        failed = self._failed is not None and self._failed.instead_of is way
+        text = f"{way.name}: {100.0 * way.at / way.end:.0f} % driven{self._why_not if failed else ''}"
         if shown.goal is way.goal:
             self.planned = shown._replace(text=text)
         else:
-            self.planned = Planned(shown.number + 1, text, way.goal, way.line)
+            self.planned = Planned(shown.number + new, text, way.goal, way.line)
 
     def _find(self, request: WantedWay, outdated: Event) -> PlannedWay:
         """Find a path, and its motion; runs in the thread."""
@@ -333,6 +411,11 @@ class Ways:
 
     def _deliver(self, done: Done[WantedWay, PlannedWay]) -> None:
         self._found = done
+
+
+def _is_at(arm: Arm, q: Array, place: Array) -> bool:
+    """Return whether a configuration is at another one, (nq,), but for rounding."""
+    return bool(np.all(np.abs(arm.difference(q, place)) <= LEADERS.rejoined * arm.joint_units))
 
 
 def towards(arm: Arm, goal: Target, limits: Limits, name: str) -> FindPath:
@@ -347,6 +430,24 @@ def towards(arm: Arm, goal: Target, limits: Limits, name: str) -> FindPath:
         if path.blocked_by:
             raise TaskError(name, path.blocked_by)
         return path
+
+    return find
+
+
+def around(way: PlannedWay, limits: Limits) -> FindPath:
+    """Return what finds the rest of a way around what is on it by now; if need be, another way to its end."""
+    arm = way.arm
+    objective = way.path.objective
+    rest = way.rest
+    goal = Target.from_configuration(arm, way.goal)
+
+    def find(q: Array, scene: Scene) -> JointPath:
+        bounds = limits.for_arm(arm)
+        avoidance = Avoidance.of(scene, objective, bounds)
+        repaired = repair(
+            PlanningProblem(objective, arm.chain_at(q), bounds.position_limits, avoidance), rest
+        )
+        return towards(arm, goal, limits, way.name)(q, scene) if repaired is None else repaired
 
     return find
 

@@ -619,17 +619,16 @@ def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
     return np.vstack([np.zeros(arm.nv), np.cumsum(steps, axis=0)])
 
 
-def rows_in_time(path: JointPath, limits: Limits) -> Array:
-    """Return the configurations of the motion along a path after each cycle, two at least, (n, nq)."""
+def places_in_time(path: JointPath, limits: Limits) -> Array:
+    """Return the places on a path after each cycle of the motion along it, two at least, (n,) [waypoints]."""
     places = retime(path, limits).places
-    if len(places) < 2:  # it is there already, and rests for a cycle
-        places = np.zeros(2)
-    return np.asarray(path.arm.integrate(path.start, path.smooth_offset(places)))
+    return places if len(places) > 1 else np.zeros(2)  # it is there already, and rests for a cycle
 
 
 def _timed(path: JointPath, limits: Limits) -> JointTrajectory:
     """Return the motion along a path."""
-    return JointTrajectory.from_configurations(path.arm, rows_in_time(path, limits), cycle_of(limits))
+    rows = path.arm.integrate(path.start, path.smooth_offset(places_in_time(path, limits)))
+    return JointTrajectory.from_configurations(path.arm, rows, cycle_of(limits))
 
 
 class _Found(NamedTuple):

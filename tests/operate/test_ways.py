@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from operate.test_operation import Desk, bent_arm, fed_arm
 
 import pinposture as pp
+from pinposture.errors import TaskError
 from pinposture.operate import SimulatedArm
 from pinposture.operate.ways import CurveAlong, read_steps
 
@@ -78,20 +80,102 @@ def test_a_curve_that_is_dragged_is_driven_while_it_is_held_and_back_again() -> 
     np.testing.assert_allclose(desk.q, start, atol=1e-4)
 
 
-def test_a_way_that_something_blocks_by_now_is_not_driven_on() -> None:
+def with_ball(desk: Desk, center: np.ndarray) -> pp.CollisionModel:
+    """Put a ball into the scene of an arm, which is clear of it, and return the distances from it."""
+    ball = pp.Sphere(tuple(center), 0.01)
+    desk.scene = pp.Scene({"ball": ball}, margin=0.005, self_collision=False)
+    model = pp.CollisionModel(desk.arm, desk.scene)
+    assert model.minimum(desk.q).distance > 0.005
+    return model
+
+
+def test_a_way_on_which_something_appears_is_planned_anew_and_driven_on_while_it_is_held() -> None:
+    desk = Desk(*bent_arm())
+    desk.run(0.1, lambda: desk.tell(do="release"))
+    start = desk.q
+    desk.operation.reshape(dragged(desk, (-0.03, 0.05, 0.03)))
+    planned(desk)
+    number, _, goal, _ = desk.operation.shown.planned
+    desk.run(0.3, lambda: along(desk, 1.0, number))
+    assert desk.speeds[-1] > 0.0
+    middle = 0.5 * (desk.tip + desk.arm.at(goal).points[-1])
+    model = with_ball(desk, middle + [0.03, 0.0, 0.0])
+    gaps: list[float] = []
+
+    def held(share: float = 1.0) -> None:
+        along(desk, share, number)
+        gaps.append(model.minimum(desk.q).distance)
+
+    way = desk.operation.ways.way
+    while way.rate > 0.0:
+        desk.run(0.02, held)
+        assert desk.operation.shown.mode == "waits"
+        assert "ball" in desk.operation.shown.reason
+        assert "looked for" in desk.operation.shown.reason
+    assert desk.now < 1.0
+    desk.run(0.02, held)
+    assert desk.operation.ways._finder.finish(60.0)
+    desk.run(0.06, held)
+    assert desk.operation.shown.mode == "runs"
+    assert desk.operation.shown.planned.number == number
+    desk.run(6.0, held)
+    assert desk.operation.shown.reason == "the arm is at the end of the way"
+    np.testing.assert_allclose(desk.q, goal, atol=1e-4)
+    desk.run(8.0, lambda: held(-1.0))  # around the ball again, and along what was driven before it
+    np.testing.assert_allclose(desk.q, start, atol=1e-4)
+    assert min(gaps) > 0.005 * (1.0 - 1e-6)
+
+
+def test_a_way_whose_end_is_blocked_by_now_is_looked_at_again_before_it_is_driven_elsewhere() -> None:
     desk = Desk(*bent_arm())
     desk.run(0.1, lambda: desk.tell(do="release"))
     desk.operation.reshape(dragged(desk, (-0.03, 0.05, 0.03)))
     planned(desk)
-    goal = desk.operation.shown.planned.goal
-    middle = 0.5 * (desk.tip + desk.arm.at(goal).points[-1])
-    ball = pp.Sphere(tuple(middle + [0.03, 0.0, 0.0]), 0.01)
-    desk.scene = pp.Scene({"ball": ball}, margin=0.005, self_collision=False)
-    assert pp.CollisionModel(desk.arm, desk.scene).minimum(desk.q).distance > 0.005
-    desk.run(4.0, lambda: along(desk, 1.0))
-    assert desk.operation.shown.mode == "stands"
-    assert "ball" in desk.operation.shown.reason
-    assert pp.CollisionModel(desk.arm, desk.scene).minimum(desk.q).distance > 0.005 * (1.0 - 1e-6)
+    number, _, goal, _ = desk.operation.shown.planned
+    model = with_ball(desk, desk.arm.at(goal).points[-1])
+    desk.run(0.04, lambda: along(desk, 1.0, number))
+    assert desk.operation.ways._finder.finish(60.0)
+    desk.run(1.0, lambda: along(desk, 1.0, number))
+    shown = desk.operation.shown
+    assert shown.planned.number == number + 1
+    assert "another way is planned" in shown.reason
+    assert max(desk.speeds) == 0.0
+    assert 0.005 * (1.0 - 1e-6) < model.minimum(shown.planned.goal).distance < 0.01
+    desk.run(5.0, lambda: along(desk, 1.0))
+    np.testing.assert_allclose(desk.q, shown.planned.goal, atol=1e-4)
+
+
+def test_a_way_without_another_one_around_what_has_appeared_is_driven_as_far_as_it_is_clear(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+
+    def find(q: np.ndarray, scene: pp.Scene) -> pp.control.JointPath:
+        asked.append(scene)
+        raise TaskError("the curve", "the ball is everywhere")
+
+    monkeypatch.setattr("pinposture.operate.ways.around", lambda way, limits: find)
+    desk = Desk(*bent_arm())
+    desk.run(0.1, lambda: desk.tell(do="release"))
+    desk.operation.reshape(dragged(desk, (-0.03, 0.05, 0.03)))
+    planned(desk)
+    number, _, goal, _ = desk.operation.shown.planned
+    free = desk.scene
+    model = with_ball(desk, 0.5 * (desk.tip + desk.arm.at(goal).points[-1]) + [0.03, 0.0, 0.0])
+    for times in (1, 2):
+        desk.run(0.04, lambda: along(desk, 1.0, number))
+        assert desk.operation.ways._finder.finish(60.0)
+        desk.run(3.0, lambda: along(desk, 1.0, number))
+        shown = desk.operation.shown
+        assert shown.mode == "stands"
+        assert "ball" in shown.reason
+        assert "no way: the curve: the ball is everywhere" in shown.planned.text
+        assert 0.005 * (1.0 - 1e-6) < model.minimum(desk.q).distance < 0.006
+        assert len(asked) == times  # once for each scene
+        desk.scene = replace(desk.scene)
+    desk.scene = free
+    desk.run(3.0, lambda: along(desk, 1.0, number))
+    np.testing.assert_allclose(desk.q, goal, atol=1e-4)
 
 
 def test_kept_postures_are_the_steps_and_the_way_of_the_tip_is_undone() -> None:
