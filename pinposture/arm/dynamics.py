@@ -85,17 +85,30 @@ class Dynamics:
         )
         return torques
 
-    def step_torques(self, start: Array, moves: Array, dt: float) -> tuple[Array, Array]:
-        """Compute the torques of steps where they meet, in motion and at rest, (s, nv) each.
+    def step_loads(self, start: Array, moves: Array, dt: float, effort: Array) -> tuple[Array, Array]:
+        """Compute the largest torque of steps relative to its limit where they meet, in motion and at rest.
 
         Args:
             start: joint positions between the first two steps, (nv,) [rad or m].
             moves: the steps, (s + 1, nv) [rad or m].
             dt: duration of a step [s].
+            effort: the limits of the torques, (nv,) [N m or N].
+
+        Returns:
+            The shares in motion and at rest, (s,) each.
         """
-        moving = np.empty((len(moves) - 1, len(start)))
-        held = np.empty(moving.shape)
-        kernels.step_torques(self._indices, self._numbers, _plain(start), _plain(moves), dt, moving, held)
+        moving = np.empty(len(moves) - 1)
+        held = np.empty(len(moves) - 1)
+        kernels.step_loads(
+            self._indices,
+            self._numbers,
+            _plain(start),
+            _plain(moves),
+            dt,
+            _plain(effort),
+            moving,
+            held,
+        )
         return moving, held
 
     def path_torques(

@@ -272,26 +272,15 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
     Returns:
         Steps, (k, nv) [rad or m]; k = 0 if the arm can stop at once.
     """
-    pieces = [np.empty((0, len(dq)))]
-    while brake is not None and (ratio := float((np.abs(dq) / brake).max())) > 1.0:
-        shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MAX_STOPPING_STEPS)) / ratio
-        steps = shares[:, None] * dq
-        gone = np.cumsum(steps, axis=0) - steps
-        back, ahead = farthest(rooms[:, None] - gone, brake)
-        low = np.maximum(np.minimum(back, 0.0), -bound)
-        high = np.minimum(np.maximum(ahead, 0.0), bound)
-        beyond = np.any((steps < low) | (steps > high), axis=1)
-        first = int(np.argmax(beyond)) if beyond.any() else len(steps)
-        pieces.append(steps[:first])
-        if first == len(steps):
-            break
-        # A joint has to brake harder than the others here; from there they slow down in proportion again.
-        before = steps[first - 1] if first else dq
-        held = np.minimum(np.maximum(steps[first], low[first]), high[first])
-        dq = np.minimum(np.maximum(held, before - brake), before + brake)
-        pieces.append(dq[None])
-        rooms = rooms - gone[first] - dq
-    return np.concatenate(pieces)
+    if brake is None:
+        return np.empty((0, len(dq)))
+    return kernels.stopping_steps(
+        np.array(rooms, dtype=np.float64),
+        np.array(dq, dtype=np.float64),
+        np.array(bound, dtype=np.float64),
+        np.array(brake, dtype=np.float64),
+        MAX_STOPPING_STEPS,
+    )
 
 
 def full_braking(previous: Array, brake: Array) -> Array:

@@ -55,8 +55,8 @@ class Stop(NamedTuple):
     Attributes:
         steps: the steps, (k, nv) [rad or m]; k = 0 if it stops at once.
         share: largest torque in them and in the steps before, relative to its limit.
-        held: torques that hold the arm still before, between and after all of these, (s, nv) [N m or N]; None
-            if they are not known.
+        held: largest torque that holds the arm still before, between and after all of these, relative to its
+            limit, (s,); None if it is not known.
     """
 
     steps: Array
@@ -103,9 +103,17 @@ class TorqueLimits:
     def __init__(self, arm: Arm, effort: Array) -> None:
         self._arm = arm
         self._limits = effort
-        self._effort = (1.0 - CONVERGED) * effort  # what counts as none is kept, too
-        self._limited = np.flatnonzero(np.isfinite(effort))
         self._length = TORQUE_LIMIT.length * arm.length
+
+    @cached_property
+    def _effort(self) -> Array:
+        """The limits without what counts as no excess, which is kept, too."""
+        return np.asarray((1.0 - CONVERGED) * self._limits)
+
+    @cached_property
+    def _limited(self) -> NDArray[np.intp]:
+        """The degrees of freedom that have a limit."""
+        return np.flatnonzero(np.isfinite(self._limits))
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
@@ -137,6 +145,10 @@ class TorqueLimits:
         """Return the largest excess of torques (s, nv) over a limit, (s,) [m]."""
         over = np.abs(torques[:, self._limited]) / self._effort[self._limited] - 1.0
         return np.asarray(self._length * over.max(axis=1, initial=0.0))
+
+    def excess_of(self, share: float) -> float:
+        """Return the excess over a limit of a torque that is a share of it [m]."""
+        return self._length * max(share / (1.0 - CONVERGED) - 1.0, 0.0)
 
     def heaviest(self, state: ChainState) -> JointLoad:
         """Return the joint that needs most of its limit at a state."""
@@ -216,11 +228,11 @@ class StepTorques:
 
     def judged(self, steps: Array, first: int = 0) -> Stop:
         """Return steps (k, nv) that stop the arm with their torques; so many of them come before the stop."""
-        rest = np.zeros((1, self._arm.nv))
-        moves = np.concatenate([self._previous[None], steps, rest])
-        moving, held = self._arm.dynamics.step_torques(self._positions, moves, self._dt)
-        largest = np.maximum(np.abs(moving).max(axis=0), np.abs(held[-1]))
-        return Stop(steps[first:], float((largest / self._effort).max()), held)
+        moves = np.zeros((len(steps) + 2, self._arm.nv))
+        moves[0] = self._previous
+        moves[1:-1] = steps
+        moving, held = self._arm.dynamics.step_loads(self._positions, moves, self._dt, self._effort)
+        return Stop(steps[first:], max(float(moving.max()), float(held[-1])), held)
 
     def stop(self, dq: Array | None = None) -> Stop:
         """Find the steps that stop the arm on a straight line, if possible within torque limits.

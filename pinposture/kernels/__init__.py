@@ -41,7 +41,7 @@ _KERNELS = {
     ),
     "constrained_step": "minimise_with_rows",
     "continuous_collision": "check_motions smallest_distance_on_motions",
-    "dynamics": "gravity_gradient gravity_torques inverse_dynamics path_torques step_torques",
+    "dynamics": "gravity_gradient gravity_torques inverse_dynamics path_torques step_loads",
     "joint_response": "follow_commands watch_joints",
     "kinematics": ("carry_screws jacobians joints_along motions_along move_frame placements trace_points"),
     "manipulability": (
@@ -52,7 +52,7 @@ _KERNELS = {
     "path_following": (
         "advance fill_torque_rows find_speed_profile find_stop joint_distance look_ahead next_path_speed "
         "path_offset position_excess shorten_step smooth_offsets spline_slopes step_along step_box "
-        "step_on_profile step_to stoppable_steps sum_point_errors"
+        "step_on_profile step_to stoppable_steps stopping_steps sum_point_errors"
     ),
     "path_relaxation": "find_direct_waypoints refine_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",

@@ -446,11 +446,28 @@ def gravity_torques(indices: Ints1, numbers: Array1, positions: Array2, filled: 
         lift_some(indices, numbers, positions, LANES, filled)
 
 
+@inlined
+def largest_shares(torques: Array2, effort: Array1, some: int, first: int, filled: Array1) -> None:
+    """Fill in the largest torque of each posture relative to its limit, from one posture on."""
+    for w in range(some):
+        largest = 0.0
+        for j in range(len(effort)):
+            largest = max(largest, abs(torques[w, j]) / effort[j])
+        filled[first + w] = largest
+
+
 @compiled
-def step_torques(
-    indices: Ints1, numbers: Array1, start: Array1, moves: Array2, dt: float, moving: Array2, held: Array2
+def step_loads(
+    indices: Ints1,
+    numbers: Array1,
+    start: Array1,
+    moves: Array2,
+    dt: float,
+    effort: Array1,
+    moving: Array1,
+    held: Array1,
 ) -> None:
-    """Compute the torques of steps where they meet, in motion and at rest.
+    """Compute the largest torque of steps relative to its limit, where they meet, in motion and at rest.
 
     Those of a motion have the mean velocity of the two steps, and the acceleration from one to the other.
 
@@ -460,34 +477,44 @@ def step_torques(
         start: joint positions between the first two steps, (nv,).
         moves: the steps, (s + 1, nv).
         dt: duration of a step.
-        moving: filled with the torques of the motion, (s, nv).
-        held: filled with those that hold the arm still there, (s, nv).
+        effort: the limits of the torques, (nv,).
+        moving: filled with the largest share of a limit in the motion, (s,).
+        held: filled with that which holds the arm still there, (s,).
     """
     joints, bodies = unpack(indices, numbers)
-    positions = np.empty(moving.shape)
-    velocities = np.empty(moving.shape)
-    accelerations = np.empty(moving.shape)
-    for s in range(len(moving)):
-        for j in range(len(start)):
-            positions[s, j] = positions[s - 1, j] + moves[s, j] if s else start[j]
-            velocities[s, j] = (moves[s, j] + moves[s + 1, j]) / (2.0 * dt)
-            accelerations[s, j] = (moves[s + 1, j] - moves[s, j]) / dt**2
+    nv = len(start)
     rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * LANES))
+    positions = np.empty((LANES, nv))
+    velocities = np.empty((LANES, nv))
+    accelerations = np.empty((LANES, nv))
+    torques = np.empty((LANES, nv))
+    reached = start.copy()
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
     for first in range(0, len(moving), LANES):
-        load_lanes(joints, positions, first, AXIS, LANES, rows)
-        load_lanes(joints, velocities, first, SPEED, LANES, rows)
-        load_lanes(joints, accelerations, first, CHANGE, LANES, rows)
+        some = min(LANES, len(moving) - first)
+        for w in range(LANES):
+            s = min(first + w, len(moving) - 1)
+            for j in range(nv):
+                if 0 < s == first + w:
+                    reached[j] += moves[s, j]
+                positions[w, j] = reached[j]
+                velocities[w, j] = (moves[s, j] + moves[s + 1, j]) / (2.0 * dt)
+                accelerations[w, j] = (moves[s + 1, j] - moves[s, j]) / dt**2
+        load_lanes(joints, positions, 0, AXIS, LANES, rows)
+        load_lanes(joints, velocities, 0, SPEED, LANES, rows)
+        load_lanes(joints, accelerations, 0, CHANGE, LANES, rows)
         place_bodies(joints, bodies, LANES, rows)
         turn_inertias(bodies, LANES, rows)
         lift_bodies(joints, bodies, upward, LANES, rows)
-        unload_lanes(joints, first, LANES, rows, held)
+        unload_lanes(joints, 0, LANES, rows, torques)
+        largest_shares(torques, effort, some, first, held)
         move_bodies_by(joints, bodies, upward, LANES, rows)
-        unload_lanes(joints, first, LANES, rows, moving)
-    for s in range(len(moving)):
-        for j in range(len(start)):
-            moving[s, j] += bodies.armature[j] * accelerations[s, j]
+        unload_lanes(joints, 0, LANES, rows, torques)
+        for w in range(LANES):
+            for j in range(nv):
+                torques[w, j] += bodies.armature[j] * accelerations[w, j]
+        largest_shares(torques, effort, some, first, moving)
 
 
 @compiled

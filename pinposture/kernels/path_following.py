@@ -512,6 +512,65 @@ def stoppable_steps(rooms: Array2, brake: Array1, filled: Array2) -> None:
 
 
 @compiled
+def stopping_steps(rooms: Array2, dq: Array1, bound: Array1, brake: Array1, most: int) -> Array2:
+    """Compute the steps that stop an arm after a step; see `control.limits`.
+
+    Args:
+        rooms: displacements to the lower and the upper position limits after that step, (2, nv).
+        dq: that step, (nv,).
+        bound: largest |dq|, (nv,).
+        brake: largest change between steps, (nv,).
+        most: largest number of steps in proportion.
+
+    Returns:
+        The steps, (k, nv).
+    """
+    nv = len(dq)
+    low = rooms[0].copy()
+    high = rooms[1].copy()
+    moving = dq.copy()
+    steps = np.empty((64, nv))
+    count = 0
+    while True:
+        ratio = 0.0
+        for u in range(nv):
+            ratio = max(ratio, abs(moving[u]) / brake[u])
+        if not ratio > 1.0:
+            break
+        # All joints slow down in proportion, until one has to brake harder than the others.
+        last = min(np.ceil(ratio), float(most))
+        gone = np.zeros(nv)
+        number = 1.0
+        held = False
+        while number < last and not held:
+            if count == len(steps):
+                longer = np.empty((2 * count, nv))
+                longer[:count] = steps
+                steps = longer
+            share = 1.0 - number / ratio
+            for u in range(nv):
+                step = share * moving[u]
+                least = max(min(_stoppable_step(low[u] - gone[u], brake[u]), 0.0), -bound[u])
+                largest = min(max(_stoppable_step(high[u] - gone[u], brake[u]), 0.0), bound[u])
+                held = held or step < least or step > largest
+                steps[count, u] = min(max(step, least), largest)
+            if held:
+                break
+            gone += steps[count]
+            count += 1
+            number += 1.0
+        if not held:
+            break
+        before = moving if number == 1.0 else steps[count - 1]
+        moving = np.minimum(np.maximum(steps[count], before - brake), before + brake)
+        steps[count] = moving
+        low -= gone + moving
+        high -= gone + moving
+        count += 1
+    return steps[:count].copy()
+
+
+@compiled
 def step_box(
     positions: Array1,
     position_limits: Array2,

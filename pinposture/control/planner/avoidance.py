@@ -184,6 +184,7 @@ class Avoidance:
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
         self._known_stop = stopping
         self._step_torques: tuple[ChainState, StepTorques] | None = None
+        self._held: tuple[ChainState, float] | None = None
         self._seen: tuple[ChainState, Distances] | None = None
         self._seen_inequalities: tuple[ChainState, Inequalities] | None = None
         self._seen_displaced: tuple[ChainState, Distances] | None = None
@@ -251,8 +252,16 @@ class Avoidance:
             return 0.0
         violation = inequalities_of(self.constraints, state).violation if self.constraints else 0.0
         if self.torques is not None:
-            violation = max(violation, self.torques.violation(state))
+            violation = max(violation, self._overload(state))
         return violation if violation > CONVERGED * self._length else 0.0
+
+    def _overload(self, state: ChainState) -> float:
+        """Return the largest excess over a torque limit at a state [m]; 0 if all are kept. It is cached."""
+        if self.torques is None:
+            return 0.0
+        if self._held is None or self._held[0] is not state:
+            self._held = state, self.torques.violation(state)
+        return self._held[1]
 
     def near(self, state: ChainState) -> Distances:
         """Return the pairs within the constrained distance; the last result is cached."""
@@ -534,8 +543,11 @@ class Avoidance:
     def _stop_after(self, state: ChainState, dq: Array) -> Stop:
         """Return the steps that stop the arm after a step, and their torques and those of the step."""
         torques = None if self.torques is None else self.torques_at(state)
-        if torques is not None:
-            return torques.stop(dq)
+        if torques is not None and self.torques is not None:
+            stop = torques.stop(dq)
+            if stop.held is not None:
+                self._held = state, self.torques.excess_of(float(stop.held[0]))
+            return stop
         bounds = self._bounds
         rooms = bounds.position_limits - (state.raw_positions + dq)
         return Stop(stopping_steps(rooms, dq, bounds.bound, bounds.brake), 0.0)
@@ -580,7 +592,7 @@ class Avoidance:
         alone = None if self.constraints else self.torques
         near = np.abs(steps).max(axis=0) <= AVOIDANCE.sampled_turn * self.objective.arm.joint_units
         if held is not None and alone is not None and near.all():
-            return float(alone.excess(held).max())
+            return alone.excess_of(float(held.max()))
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
         return float(self._violations_along(state.q, path).max())
 
@@ -591,8 +603,8 @@ class Avoidance:
             state: the state of the arm before them.
             steps: the steps, (k, nv) [rad or m].
             accepted: the largest violation that is accepted [m].
-            held: torques that hold the arm still before, between and after them, (k + 1, nv) [N m or N], if
-                they are known.
+            held: largest torque that holds the arm still before, between and after them, relative to its
+                limit, (k + 1,), if it is known.
         """
         if not self.constrained:
             return False
@@ -619,7 +631,9 @@ class Avoidance:
         broken: tuple[str, ...] = ()
         if self.constraints:
             broken = describe_violated(inequalities_of(self.constraints, state), self._length)
-        return broken if self.torques is None else broken + self.torques.describe(state)
+        if self.torques is None or self._overload(state) == 0.0:
+            return broken
+        return broken + self.torques.describe(state)
 
     def describe_worst_on(self, q: Array, path: Array) -> tuple[str, ...]:
         """Describe the constraints where they are violated most on straight motions; see `keeps`."""
