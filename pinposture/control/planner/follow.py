@@ -143,7 +143,7 @@ class PathProgress(NamedTuple):
         place: position of the arm on it, in waypoints.
         speed: motion along it in the last step, in waypoints.
         progress_place: position at which the arm last made progress.
-        idle_travel: joint travel that the limits have allowed since then [rad].
+        idle_travel: joint travel that the limits have allowed in hindered steps since then [rad].
         arrived: whether the arm is at the end; the remaining errors are then reduced directly.
         damping: damping factor of these steps.
         expected: expected joint positions, (nv,) [rad or m]; None before the first step.
@@ -186,20 +186,21 @@ class PathProgress(NamedTuple):
         Args:
             place: the end of the step.
             travel: joint travel that the limits allow in it [rad].
-            hindered: whether it is shorter than the limits or the profile allow. Any other step counts as
-                progress, however short.
+            hindered: whether it is shorter than the limits or the profile allow. Any other step is no
+                lack of progress, however short; but only a share of the path makes up for hindered ones.
             expected: expected joint positions after it, (nv,) [rad or m]; None if unknown.
             ahead: the next steps, if already computed.
             taken: number of those steps that have been taken.
         """
-        idle = hindered and place < self.progress_place + FOLLOWING.progress_share * self.timed.path.end
+        idle = place < self.progress_place + FOLLOWING.progress_share * self.timed.path.end
+        waited = travel if hindered else 0.0
         return PathProgress(  # faster than `_replace`, and called in nearly every cycle
             self.timed,
             self.objective,
             place,
             place - self.place,
             self.progress_place if idle else place,
-            self.idle_travel + travel if idle else 0.0,
+            self.idle_travel + waited if idle else 0.0,
             self.arrived,
             self.damping,
             expected,
@@ -438,7 +439,7 @@ def fast_step(
         error_increasing=_rises(objective, before, after),
         violated_constraints=messages.violated,
         near=messages.near,
-        following_path=moved.idle_travel == 0.0,
+        following_path=moved.idle_travel <= progress.idle_travel,
         memory=GeodesicMemory(dq, stopping, moved, goal),
     )
 
@@ -1116,6 +1117,6 @@ def check_step(
         error_increasing=_rises(objective, before_error, after_error),
         violated_constraints=violated + messages.violated,
         near=messages.near,
-        following_path=not progress.arrived and progress.idle_travel == 0.0,
+        following_path=not progress.arrived and progress.idle_travel <= before.idle_travel,
         memory=GeodesicMemory(dq, stopping, progress._replace(expected=reached, ahead=None)),
     )

@@ -247,6 +247,13 @@ def test_torques_keep_their_limits_where_a_tracker_is_disturbed(seed: int, kind:
     found = torque_limits.run(seed, kind)
     assert found.named == found.cycles == 0
     assert found.share <= 1.0 + 1e-6
+    assert found.error < torque_limits.ARRIVED
+
+
+@pytest.mark.long
+def test_a_target_that_came_through_postures_that_cannot_be_held_is_reached() -> None:
+    """Between swings to and fro before them, single steps are not hindered; they do not count as progress."""
+    assert torque_limits.run(41, "moves on").error < torque_limits.ARRIVED
 
 
 @pytest.mark.parametrize("seed", seeds(12))
