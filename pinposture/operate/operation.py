@@ -180,7 +180,15 @@ class Operation:
             time=clock(),
         )
 
-    def lead(self, tracker: Tracker, measured: Array | None, scene: Scene, dt: float, held: str = "") -> str:
+    def lead(
+        self,
+        tracker: Tracker,
+        measured: Array | None,
+        scene: Scene,
+        dt: float,
+        held: str = "",
+        speed: float = 1.0,
+    ) -> str:
         """Set the target of a tracker for a cycle.
 
         Args:
@@ -189,6 +197,7 @@ class Operation:
             scene: what the arm keeps clear of.
             dt: duration of the cycle [s].
             held: why the arm brakes and holds whatever is held; empty if it does not.
+            speed: share of the speed that is allowed beside that of the operator, from 0 to 1.
 
         Returns:
             Why the arm has to brake and hold; empty if it may move.
@@ -203,10 +212,13 @@ class Operation:
         elif tracker.arm is not self.arm:
             hold = LOCKING
         else:
-            hold = self._decide(tracker, measured, scene, order, dt)
+            slowed = None if order is None else order._replace(override=speed * order.override)
+            hold = self._decide(tracker, measured, scene, slowed, dt)
         if hold:
             self._mode = "holds"
             self._reason = hold
+        elif speed < 1.0 and not self._reason:
+            self._reason = f"{100.0 * speed:.0f} % of the speed is allowed"
         self._set_limits(tracker, order)
         commanded = None
         with suppress(InvalidValue):  # nothing was held yet

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Mapping
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,13 @@ from pinposture.motion.ros import NANOSECONDS
 
 KEPT_LATENCIES = 100_000
 """Largest number of latencies that are kept: those of 16 minutes at 100 Hz."""
+
+SAID_AGAIN = 10.0
+"""Time after which the same words are a new occurrence [s]. On a busy machine, a plan or a step that is not
+ready in time comes and goes several times a second."""
+
+NUMBER = r"(?<!\w)[-+]?\d[\d.]*(e[-+]?\d+)?"
+"""A number that is not in a name."""
 
 
 class CycleTimes:
@@ -62,6 +70,24 @@ class CycleTimes:
             return {}
         recent = np.array(self.latencies)[-count:]
         return {"latency, median": float(np.median(recent)), "latency, most": float(recent.max())}
+
+
+class Occurrences:
+    """Tells which words are worth a line in a log: those that were not heard for a while.
+
+    Numbers in them do not count, so that what comes and goes from cycle to cycle is said once.
+    """
+
+    def __init__(self) -> None:
+        self._heard: dict[str, float] = {}
+
+    def begin(self, words: str, now: float) -> bool:
+        """Hear words at a time [s]; return whether an occurrence begins."""
+        kind = re.sub(NUMBER, "", words)
+        begun = now - self._heard.get(kind, -inf) > SAID_AGAIN
+        self._heard = {old: at for old, at in self._heard.items() if now - at <= SAID_AGAIN}
+        self._heard[kind] = now
+        return begun
 
 
 def diagnostics(name: str, hardware: str, level: int, message: str, values: Mapping[str, Any]) -> Any:

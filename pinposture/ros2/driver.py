@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -27,7 +26,7 @@ from pinposture.motion.latest import Done, Latest
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.placement import Target, resolve_targets
 from pinposture.ros2.clouds import CloudFrames, read_points
-from pinposture.ros2.diagnostics import CycleTimes, diagnostics
+from pinposture.ros2.diagnostics import CycleTimes, Occurrences, diagnostics
 from pinposture.ros2.failures import POLLING, Locked, Outlook, Outlooks, as_possible
 from pinposture.ros2.graph import latest_only, sensor_data
 from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
@@ -140,7 +139,15 @@ class Guide(Protocol):
     def arm(self) -> Arm:
         """The arm that it leads: that of the driver, or with joints locked that are stuck."""
 
-    def lead(self, tracker: Tracker, measured: Array | None, scene: Scene, dt: float, held: str = "") -> str:
+    def lead(
+        self,
+        tracker: Tracker,
+        measured: Array | None,
+        scene: Scene,
+        dt: float,
+        held: str = "",
+        speed: float = 1.0,
+    ) -> str:
         """Set the target of a tracker for a cycle.
 
         Args:
@@ -149,6 +156,7 @@ class Guide(Protocol):
             scene: what the arm keeps clear of.
             dt: duration of the cycle [s].
             held: why the arm brakes and holds whatever it is led to; empty if it does not.
+            speed: share of the usual speed that is allowed, from 0 to 1.
 
         Returns:
             Why the arm has to brake and hold; empty if it may move.
@@ -174,7 +182,7 @@ class Performance:
         self._begun = False
 
     def advance(self, report: Report, dt: float) -> Target:
-        """Return the posture for the end of a cycle of a duration [s], after the report of the last one."""
+        """Return the posture for the end of a cycle, in which a time passes [s], after the last report."""
         near = report.mean_error is not None and report.mean_error <= ARRIVED * self._arm.length
         if report.status in ("converged", "stalled") and near:
             self._begun = True
@@ -288,7 +296,7 @@ class Driver:
         self._way_in = WayIn(arm)
         self._stuck: set[str] = set()  # that cannot be locked
         self._target_fault = ""
-        self._logged = ""
+        self._occurrences = Occurrences()  # of reasons why the arm does not move as it shall
         self._connect(node)
 
     def _new_tracker(self, arm: Arm, scene: Scene) -> Tracker:
@@ -760,7 +768,7 @@ class Driver:
         self._slow_down(STALE_SPEED if stale else 1.0)
         held = self._reason_to_hold(measured, stale)
         if self._guide is not None:
-            held = self._guide.lead(self.tracker, q, self._scene, self._period, held)
+            held = self._guide.lead(self.tracker, q, self._scene, self._period, held, self._speed)
         self._step(None if held else measured, passed)
         report = self.tracker.report
         before = self.status
@@ -845,7 +853,7 @@ class Driver:
         """Let the tracker take a step after a time [s]; without a measurement, it brakes and holds."""
         tracker = self.tracker
         if self._performance is not None:
-            tracker.update(self._performance.advance(tracker.report, self._period))
+            tracker.update(self._performance.advance(tracker.report, self._speed * self._period))
         tracker.step(
             None if measured is None else measured.positions,
             passed if passed < SHORT_CYCLE * self._period else None,
@@ -932,11 +940,5 @@ class Driver:
         message = diagnostics(self._node.get_fully_qualified_name(), self.arm.name, level, words, values)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(message)
-        self._log(words if self.reason else "")
-
-    def _log(self, words: str) -> None:
-        """Log why the arm does not move as it shall, once for as long as nothing but numbers changes."""
-        kind = re.sub(r"[-+.\d]+", "", words)
-        if words and kind != self._logged:
+        if self.reason and self._occurrences.begin(words, time.monotonic()):
             self._node.get_logger().warning(words)
-        self._logged = kind

@@ -29,6 +29,7 @@ class Desk:
         self.scene = pp.Scene()
         self.tracker = pp.Tracker(arm, limits=self.limits, scene=self.scene)
         self.q = arm.neutral() if q is None else q
+        self.speed = 1.0  # what a driver allows
         self.speeds: list[float] = []  # of the fastest joint in each cycle
         for message in ("ask", "release"):
             self.tell(do=message)
@@ -45,7 +46,7 @@ class Desk:
         for _ in range(round(duration / DT)):
             self.now += DT
             each()
-            hold = self.operation.lead(self.tracker, self.q, self.scene, DT)
+            hold = self.operation.lead(self.tracker, self.q, self.scene, DT, speed=self.speed)
             step = self.tracker.step(None if hold else self.q, scene=self.scene)
             self.q = self.arm.integrate(self.q, step)
             self.speeds.append(float(np.abs(step / self.arm.joint_units).max()) / DT)
@@ -131,6 +132,11 @@ def test_the_override_is_a_share_of_the_speed_and_none_of_it_holds() -> None:
         desk.run(2.0, lambda desk=desk, override=override: desk.hold((1.0, 0.0, 0.0), override))
         depths.append(desk.q[0])
     assert depths[1] == pytest.approx(0.25 * depths[0], rel=0.1)  # less time to get there
+    desk = Desk(fed_arm())
+    desk.speed = 0.5
+    desk.run(2.0, lambda: desk.hold((1.0, 0.0, 0.0), 0.5))
+    assert desk.q[0] == pytest.approx(depths[1], rel=1e-6)
+    assert desk.operation.shown.reason == "50 % of the speed is allowed"
     desk = Desk(fed_arm())
     desk.run(0.5, lambda: desk.hold((1.0, 0.0, 0.0), 0.0))
     assert max(desk.speeds) == 0.0

@@ -344,6 +344,16 @@ def test_a_cloud_of_a_link_becomes_an_obstacle_and_one_of_an_unknown_frame_holds
     assert graph.run(lambda: driver.status != "holding"), driver.reason
     most = driver.tracker.limits.for_arm(arm).bound
     np.testing.assert_allclose(most, 0.25 * VELOCITY * DT)
+    here = arm.configuration(arm.drives.joint_positions(robot.positions))
+    rows = here + np.linspace(0.0, 0.3, 101)[:, None]
+    driver.perform(pp.JointTrajectory.from_configurations(arm, rows, 0.04))
+    performed = driver._performance
+    assert performed is not None
+    assert graph.run(lambda: performed.time > 0.0), driver.reason  # it waits at the start
+    begun = performed.time
+    cycles = driver.times.cycles
+    assert graph.run(lambda: performed.time > begun + 0.1), driver.reason
+    assert performed.time - begun <= 0.25 * DT * (driver.times.cycles - cycles) * (1.0 + 1e-9)
     driver.settings = replace(given, max_cloud_age=60.0)
     assert graph.run(lambda: np.allclose(driver.tracker.limits.for_arm(arm).bound, VELOCITY * DT))
     driver.settings = given

@@ -74,3 +74,15 @@ def test_the_tracker_node_drives_the_arm_to_one_curve_and_to_another(
         publisher.publish(String(data=str(tmp_path / "missing.json")))
         graph.run_for(1.0)
         assert node.poll() is None  # it goes on
+
+
+def test_a_parameter_of_a_node_that_is_not_there_is_not_waited_for_forever(
+    graph: Any, tmp_path: Path
+) -> None:
+    graph.node("bystander")
+    command = [sys.executable, EXAMPLES / "set_parameter.py", "/nobody", "hold", "true", "--timeout", "2"]
+    ended = subprocess.run(
+        command, env=os.environ | environment(tmp_path), capture_output=True, check=False, timeout=60
+    )
+    assert ended.returncode == 1
+    assert b"no node /nobody has answered for 2 s; nodes that are there: /bystander" in ended.stderr
