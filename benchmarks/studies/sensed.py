@@ -1,13 +1,13 @@
 """What other sensors than encoders are worth to a driver on ROS 2, on an arm that sags behind its encoders.
 
-    python -m benchmarks.studies.sensed                  # 10 postures for each row, some five minutes
+    python -m benchmarks.studies.sensed                  # 10 postures for each row, some minutes
     python -m benchmarks.studies.sensed --postures 3
 
 A simulated robot of 8 modules (16 joints, 0.4 m) on soft servos (4 Hz) and a driver, with 50 cycles per
 second, are two nodes of this process. The encoders are on the motors and have 1 mrad of noise; "two thirds"
 are without every third one. Inertial sensors with a compass (10 mrad) are on every second module, and the tip
 is seen to 1 mm and 10 mrad; both tell 50 times per second. The arm has each random smooth posture for four
-seconds.
+seconds of the simulation, which goes on when the driver has made its cycle, however busy the machine is.
 
 Told are the distance of the tip from where the driver has it, in all cycles; that of the tip from its target
 in cycles of the last second in which the driver says that the arm has arrived; and in how many postures it
@@ -20,7 +20,7 @@ import argparse
 import os
 import time
 from contextlib import ExitStack
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,15 @@ from pinposture.sim import LinkSensing, Sensing, Servos
 
 Array = NDArray[np.float64]
 
+ARM = pp.Arm.from_template("RyRz", modules=8)
 RATE = 50.0
 LIMITS = pp.Limits(step=None, dt=1.0 / RATE, velocity=1.0, acceleration=4.0)
 BETWEEN_TARGETS = 4.0
 """Time for which the arm has each target [s]."""
 RESTS = 3.0
 """Time after which it rests there [s]."""
+PATIENCE = 10.0
+"""Time for which the nodes are waited for [s]."""
 DOMAIN = 96
 """Domain of the graph, which nothing else uses."""
 
@@ -88,55 +91,104 @@ class Errors(NamedTuple):
     arrived: int
 
 
+class WatchedRobot(SimulatedRobot):
+    """A simulated robot that counts the commands that it has taken."""
+
+    commands = 0
+
+    def _take_trajectory(self, message: Any) -> None:
+        super()._take_trajectory(message)
+        self.commands += 1
+
+
+class Pair:
+    """A simulated robot and its driver, which take turns.
+
+    Attributes:
+        robot: the robot.
+        driver: the driver.
+
+    Args:
+        row: what the robot has, and the driver takes.
+        stack: closes what is opened here.
+    """
+
+    def __init__(self, row: Row, stack: ExitStack) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.parameter import Parameter
+
+        settings = RobotSettings(
+            servos=Servos(frequency=4.0),
+            sensing=Sensing(noise=1e-3),
+            encoders="motor",
+            links=row.links,
+            clock=True,
+        )
+        node = stack.enter_context(open_node("robot"))
+        self.robot = WatchedRobot(node, ARM, None, settings)
+        for timer in node.timers:
+            timer.cancel()
+        missing = ",".join(ARM.drives.names[1::3]) if row.every_third else ""
+        node.set_parameters([Parameter("missing", value=missing)])
+        other = stack.enter_context(open_node("pinposture", ["--ros-args", "-p", "use_sim_time:=true"]))
+        self.driver = Driver(other, ARM, DriverSettings(rate=RATE, sensing=row.sensing), limits=LIMITS)
+        stack.callback(self.driver.close)
+        self._executors = []
+        for each in (node, other):
+            executor = SingleThreadedExecutor(context=each.context)
+            executor.add_node(each)
+            stack.callback(executor.shutdown)
+            self._executors.append(executor)
+
+    def cycle(self) -> None:
+        """Simulate until the next cycle of the driver, let it make that, and let the robot take the command.
+
+        Raises:
+            RuntimeError: the nodes do not hear of each other.
+        """
+        robot = self.robot
+        times = self.driver.times
+        cycles = times.cycles
+        sent = len(times.latencies)
+        commands = robot.commands
+        for _ in range(round(1.0 / (RATE * robot.plant.dt))):
+            if not robot.cycle():
+                raise RuntimeError(robot.plant.failure)
+        begun = time.monotonic()
+        while times.cycles == cycles or robot.commands - commands < len(times.latencies) - sent:
+            for executor in self._executors:
+                executor.spin_once(timeout_sec=0.001)
+            if time.monotonic() > begun + PATIENCE:
+                raise RuntimeError("the nodes do not hear of each other")
+
+    @property
+    def tip(self) -> Array:
+        """Where the tip is, (3,) [m]."""
+        q = ARM.configuration(ARM.drives.joint_positions(self.robot.plant.positions))
+        return np.asarray(ARM.chain_at(q).points[-1])
+
+
 def measure(row: Row, postures: int) -> Errors:
     """Drive a robot from posture to posture."""
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.parameter import Parameter
-
-    arm = pp.Arm.from_template("RyRz", modules=8)
     rng = np.random.default_rng(0)
-    settings = RobotSettings(
-        servos=Servos(frequency=4.0), sensing=Sensing(noise=1e-3), encoders="motor", links=row.links
-    )
     believed: list[float] = []
     missed: list[float] = []
     arrived = 0
     with ExitStack() as stack:
-        nodes = [stack.enter_context(open_node(name)) for name in ("robot", "pinposture")]
-        executors = [SingleThreadedExecutor(context=node.context) for node in nodes]
-        for node, executor in zip(nodes, executors, strict=True):
-            executor.add_node(node)
-            stack.callback(executor.shutdown)
-        robot = SimulatedRobot(nodes[0], arm, None, settings)
-        missing = ",".join(arm.drives.names[1::3]) if row.every_third else ""
-        nodes[0].set_parameters([Parameter("missing", value=missing)])
-        driver = Driver(nodes[1], arm, DriverSettings(rate=RATE, sensing=row.sensing), limits=LIMITS)
-        stack.callback(driver.close)
-
-        def tip(positions: Array) -> Array:
-            q = arm.configuration(arm.drives.joint_positions(positions))
-            return np.asarray(arm.chain_at(q).points[-1])
-
+        pair = Pair(row, stack)
+        driver = pair.driver
         while driver.status == "holding" and driver.reason != "no target":
-            for executor in executors:
-                executor.spin_once(timeout_sec=0.001)
+            pair.cycle()
         for _ in range(postures):
-            target = pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5))
+            target = pp.Target.from_configuration(ARM, smooth_configuration(ARM, rng, 0.5))
             driver.aim(target)
-            begin = time.monotonic()
-            seen = driver.times.cycles
-            while time.monotonic() < begin + BETWEEN_TARGETS:
-                for executor in executors:
-                    executor.spin_once(timeout_sec=0.001)
-                if driver.times.cycles == seen:
-                    continue
-                seen = driver.times.cycles
-                true = tip(robot.plant.positions)
-                q = driver.measured
-                if q is not None:
-                    believed.append(float(np.linalg.norm(arm.chain_at(q).points[-1] - true)))
-                if time.monotonic() > begin + RESTS and driver.status == "converged":
-                    missed.append(float(np.linalg.norm(target.points[-1] - true)))
+            for cycle in range(round(BETWEEN_TARGETS * RATE)):
+                pair.cycle()
+                tip = pair.tip
+                if driver.measured is not None:
+                    believed.append(float(np.linalg.norm(ARM.chain_at(driver.measured).points[-1] - tip)))
+                if cycle > RESTS * RATE and driver.status == "converged":
+                    missed.append(float(np.linalg.norm(target.points[-1] - tip)))
             arrived += driver.status == "converged"
     return Errors(np.array(believed), np.array(missed), arrived)
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack
 from scipy.special import gammainccinv
 
 from pinposture._validation import (
@@ -101,6 +101,27 @@ class FittedState(NamedTuple):
     near: Readings
 
 
+class Spread(NamedTuple):
+    """How readings scatter about what is expected.
+
+    Attributes:
+        rows: H, how the expected ones change with the state, (r, 2 nv).
+        across: H P, (r, 2 nv).
+        factor: the lower Cholesky factor of H P H^T and their noise, (r, r).
+    """
+
+    rows: Array
+    across: Array
+    factor: Array
+
+    def solve(self, right: Array) -> Array:
+        """Return the solution of H P H^T and the noise for a right side, (r,) or (r, k).
+
+        The functions of SciPy that do this check and copy for longer than they compute.
+        """
+        return np.asarray(lapack.dpotrs(self.factor, right, lower=True)[0])
+
+
 class Belief(NamedTuple):
     """What is believed of the state.
 
@@ -126,10 +147,14 @@ class Belief(NamedTuple):
         if not used.any():
             return self, used
         fit = self._fit(sensor, start, used)
-        if self._distances(sensor, fit, used).max() > sensor.likely:
+        spread = self._spread(sensor, fit.near, used)
+        if self._distances(sensor, fit, used, spread).max() > sensor.likely:
             start, used = self._one_by_one(sensor, start)
             fit, used = self._without_outliers(sensor, start, used)
-        return (self._after(sensor, fit, used) if used.any() else self), used
+            if not used.any():
+                return self, used
+            spread = self._spread(sensor, fit.near, used)
+        return self._after(sensor, fit, spread), used
 
     def _one_by_one(self, sensor: Sensor, start: FittedState) -> tuple[FittedState, Chosen]:
         """Return the state after one reading after the other, and those that were no outliers."""
@@ -140,9 +165,10 @@ class Belief(NamedTuple):
             one = np.arange(len(used)) == k
             begun = belief._moved(sensor, np.zeros(len(self.covariance)))
             fit = belief._fit(sensor, begun, one)
-            if belief._distances(sensor, fit, one)[k] <= sensor.likely:
+            spread = belief._spread(sensor, fit.near, one)
+            if belief._distances(sensor, fit, one, spread)[k] <= sensor.likely:
                 used[k] = True
-                belief = belief._after(sensor, fit, one)
+                belief = belief._after(sensor, fit, spread)
         arm = self.state.arm
         moved = np.concatenate([arm.difference(self.state.q, belief.state.q), belief.give - self.give])
         pull = np.linalg.lstsq(self.covariance, moved, rcond=None)[0]
@@ -153,7 +179,7 @@ class Belief(NamedTuple):
         used = used.copy()
         while used.any():
             fit = self._fit(sensor, fit, used)
-            apart = self._distances(sensor, fit, used)
+            apart = self._distances(sensor, fit, used, self._spread(sensor, fit.near, used))
             farthest = int(apart.argmax())
             if apart[farthest] <= sensor.likely:
                 break
@@ -162,9 +188,9 @@ class Belief(NamedTuple):
 
     def _moved(self, sensor: Sensor, pull: Array) -> FittedState:
         """Return the state to which a pull moves this one."""
-        change, gains = np.split(self.covariance @ pull, 2)
-        state = self.state.moved(change)
-        give = self.give + gains
+        moved = self.covariance @ pull
+        state = self.state.moved(moved[: len(self.give)])
+        give = self.give + moved[len(self.give) :]
         return FittedState(state, give, pull, sensor.near(state, give))
 
     def _cost(self, sensor: Sensor, fit: FittedState, used: Chosen) -> float:
@@ -178,9 +204,9 @@ class Belief(NamedTuple):
         units = np.tile(self.state.arm.joint_units, 2)
         cost = self._cost(sensor, fit, used)
         for _ in range(UPDATE.max_steps):
-            rows = _rows(fit.near, used, len(covariance))
-            innovation = fit.near.errors[used].ravel() + rows @ (covariance @ fit.pull)
-            change = rows.T @ cho_solve(self._spread(sensor, rows), innovation) - fit.pull
+            spread = self._spread(sensor, fit.near, used)
+            innovation = fit.near.errors[used].ravel() + spread.across @ fit.pull
+            change = spread.rows.T @ spread.solve(innovation) - fit.pull
             for halved in range(UPDATE.max_halvings):
                 step = 0.5**halved * change
                 tried = self._moved(sensor, fit.pull + step)
@@ -195,23 +221,28 @@ class Belief(NamedTuple):
                 break
         return fit
 
-    def _spread(self, sensor: Sensor, rows: Array) -> tuple[Array, bool]:
-        """Return the factor of the covariance of readings, H P H^T and their noise."""
-        spread = rows @ self.covariance @ rows.T
-        np.einsum("ii->i", spread)[:] += sensor.noise**2
-        factor: tuple[Array, bool] = cho_factor(spread)
-        return factor
+    def _spread(self, sensor: Sensor, near: Readings, used: Chosen) -> Spread:
+        """Return how the readings that are used scatter."""
+        chosen = near.rows[used]
+        rows = np.zeros((chosen.shape[0] * chosen.shape[1], len(self.covariance)))
+        rows[:, : chosen.shape[2]] = chosen.reshape(len(rows), -1)
+        across = rows @ self.covariance
+        spread = across @ rows.T
+        spread.flat[:: len(spread) + 1] += sensor.noise**2
+        factor, fault = lapack.dpotrf(spread, lower=True)
+        if fault:
+            raise np.linalg.LinAlgError("the covariance of the readings is not positive definite")
+        return Spread(rows, across, factor)
 
-    def _distances(self, sensor: Sensor, fit: FittedState, used: Chosen) -> Array:
+    def _distances(self, sensor: Sensor, fit: FittedState, used: Chosen, spread: Spread) -> Array:
         """Return how far each reading is from what the others tell, squared, in standard deviations, (k,).
 
         From its residual at the fit, with the covariance N (H P H^T + N)^-1 N, where N is the noise; for a
         single one this is its distance from the state before.
         """
-        rows = _rows(fit.near, used, len(self.covariance))
         residuals = fit.near.errors[used]
         count, size = residuals.shape
-        inverse = cho_solve(self._spread(sensor, rows), np.eye(count * size))
+        inverse = spread.solve(np.eye(count * size))
         blocks = np.einsum("kbkc->kbc", inverse.reshape(count, size, count, size)) * sensor.noise**4
         distances = np.zeros(len(used))
         distances[used] = np.einsum(
@@ -219,23 +250,13 @@ class Belief(NamedTuple):
         )
         return distances
 
-    def _after(self, sensor: Sensor, fit: FittedState, used: Chosen) -> Belief:
+    def _after(self, sensor: Sensor, fit: FittedState, spread: Spread) -> Belief:
         """Return what is believed after the readings to which a state is fitted."""
-        covariance = self.covariance
-        rows = _rows(fit.near, used, len(covariance))
-        across = rows @ covariance
-        gain = cho_solve(self._spread(sensor, rows), across).T
-        left = covariance - gain @ across
-        left = left - (left @ rows.T) @ gain.T + sensor.noise**2 * gain @ gain.T  # positive despite rounding
+        gain = spread.solve(spread.across).T
+        left = self.covariance - gain @ spread.across
+        noise = sensor.noise**2 * gain @ gain.T
+        left = left - (left @ spread.rows.T) @ gain.T + noise  # positive despite rounding
         return Belief(fit.state, fit.give, 0.5 * (left + left.T))
-
-
-def _rows(near: Readings, used: Chosen, size: int) -> Array:
-    """Return the rows of the readings that are used, for the whole state, (r, size)."""
-    rows = near.rows[used]
-    filled = np.zeros((rows.shape[0] * rows.shape[1], size))
-    filled[:, : rows.shape[2]] = rows.reshape(len(filled), -1)
-    return filled
 
 
 logger = logging.getLogger(__name__)

@@ -271,14 +271,23 @@ class SimulatedRobot:
             self._epoch += 0 if self._settings.clock else lost
             due = 1
         for _ in range(due):
-            if not self.plant.advance(self._motion.at(self.time + self.plant.dt)):
+            if not self.cycle():
                 self._node.get_logger().error(self.plant.failure)
                 self._stopped = True
                 return
-            self._measure()
-            self._measure_links()
-            self._look()
+
+    def cycle(self) -> bool:
+        """Simulate a cycle, and publish what is measured; return False if the arm runs away.
+
+        The timer of the node does it in real time. Cancel that to set the pace yourself.
+        """
+        if not self.plant.advance(self._motion.at(self.time + self.plant.dt)):
+            return False
+        self._measure()
+        self._measure_links()
+        self._look()
         self._deliver()
+        return True
 
     @property
     def _stamp(self) -> Any:
