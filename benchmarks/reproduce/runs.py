@@ -230,11 +230,11 @@ class PrintedSelection(Selection):
         self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array
     ) -> NDArray[np.int64]:
         region = np.flatnonzero(placed)
-        indices = np.zeros((len(self.strides), arm.n_modules + 1))
-        strides = np.array(self.strides, dtype=np.int64)
-        kernels.stride_indices(screws, arm.kinematics.task_constants.plane, strides, indices)
+        indices = np.zeros((len(self.section_sizes), arm.n_modules + 1))
+        section_sizes = np.array(self.section_sizes, dtype=np.int64)
+        kernels.section_indices_by_size(screws, arm.kinematics.task_constants.plane, section_sizes, indices)
         usable = (base > self.absolute) & placed
-        position_limits = SectionEdges.of(indices, usable, self.relative, self.strides)
+        position_limits = SectionEdges.of(indices, usable, self.relative, self.section_sizes)
         points = best_branch(position_limits, int(region[0]), int(region[-1]), "thesis").points
         return np.array(points, dtype=np.int64)
 

@@ -5,7 +5,7 @@ from pinposture.arm.configurations import JointLimits
 from pinposture.arm.couplings import Coupling, Drive, DrivenJoints
 from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
-from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
+from pinposture.arm.specification import ArmSpec, FeedSpec, PoseSpec
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, continuum_section, template
 from pinposture.arm.weight import Cable, HeldOut, JointLoad, Load, Weight
 
@@ -29,7 +29,7 @@ __all__ = [
     "JointSpec",
     "Load",
     "ModuleTemplate",
-    "PlacementSpec",
+    "PoseSpec",
     "Violation",
     "Weight",
     "bent_configuration",

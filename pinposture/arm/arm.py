@@ -67,7 +67,7 @@ from pinposture.arm.manipulability import (
 from pinposture.arm.sag import curvature, settle, spring_root, weakest_joint
 from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.serialization import ModelData
-from pinposture.arm.specification import ArmSpec, PlacementSpec
+from pinposture.arm.specification import ArmSpec, PoseSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf import is_urdf_text
 from pinposture.arm.weight import (
@@ -357,7 +357,7 @@ class Arm(ConfigurationSpace):
         for message in loaded.report.warnings:
             warn_caller(message)
         if loaded.base_placement is not None and spec.placement is None:
-            spec = replace(spec, placement=PlacementSpec.of(loaded.base_placement))
+            spec = replace(spec, placement=PoseSpec.of(loaded.base_placement))
         return cls(
             loaded.model,
             loaded.control_points,
@@ -1706,9 +1706,9 @@ def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -
     """
     if not (np.isfinite(amplitude) and amplitude >= 0.0):
         raise InvalidValue("amplitude", amplitude, "a finite number >= 0 [rad or m]")
-    places = max(len(joints) for joints in arm.module_joints)
-    drawn = np.array([(rng.normal(), rng.uniform(0, 2 * np.pi)) for _ in range(3 * places)])
-    sizes, phases = drawn.reshape(1, places, 3, 2).transpose(3, 0, 1, 2)
+    most = max(len(joints) for joints in arm.module_joints)
+    drawn = np.array([(rng.normal(), rng.uniform(0, 2 * np.pi)) for _ in range(3 * most)])
+    sizes, phases = drawn.reshape(1, most, 3, 2).transpose(3, 0, 1, 2)
     positions = smooth_positions(arm, sizes, phases, np.array([amplitude]))[0]
     return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
 

@@ -114,13 +114,13 @@ class Description:
             URDFError: several chains have equally many moving joints; names their ends.
         """
         excluded = _gripper_joints(self)
-        places = _place_links(self, excluded)
+        links = _place_links(self, excluded)
         inner = {joint.parent for joint in self.joints if joint.name not in excluded}
-        most = max(place.joints for place in places)
-        ends: dict[str | None, list[_Place]] = {}
-        for place in places:
-            if place.joints == most and place.link not in inner:
-                ends.setdefault(place.joint, []).append(place)
+        most = max(link.joints for link in links)
+        ends: dict[str | None, list[_PlacedLink]] = {}
+        for link in links:
+            if link.joints == most and link.name not in inner:
+                ends.setdefault(link.joint, []).append(link)
         order = {link: number for number, link in enumerate(self.links)}
         tips = [_farthest(group, order) for group in ends.values()]
         if len(tips) > 1:
@@ -263,13 +263,13 @@ def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source:
     return roots[0]
 
 
-class _Place(NamedTuple):
+class _PlacedLink(NamedTuple):
     """A link and the last moving joint before it, the number of moving joints up to it, and its placement.
 
     Position (3,) [m] and rotation (3, 3) are in the frame of that joint; the depth counts all joints.
     """
 
-    link: str
+    name: str
     joint: str | None
     joints: int
     position: Array
@@ -282,28 +282,28 @@ class _Place(NamedTuple):
         return float(np.linalg.norm(self.position))
 
 
-def _place_links(description: Description, excluded: frozenset[str]) -> list[_Place]:
+def _place_links(description: Description, excluded: frozenset[str]) -> list[_PlacedLink]:
     origin = np.zeros(3)
     identity = np.eye(3)
-    places = [_Place(description.root, None, 0, origin, identity, 0)]
-    for place in places:  # grows while iterating: every link after its parent
-        for joint in description.joints_after.get(place.link, []):
+    links = [_PlacedLink(description.root, None, 0, origin, identity, 0)]
+    for link in links:  # grows while iterating: every link after its parent
+        for joint in description.joints_after.get(link.name, []):
             if joint.name in excluded:
                 continue
-            depth = place.depth + 1
+            depth = link.depth + 1
             if joint.moves and joint.follows is None and joint.type in CHAIN_JOINTS:
-                places.append(_Place(joint.child, joint.name, place.joints + 1, origin, identity, depth))
+                links.append(_PlacedLink(joint.child, joint.name, link.joints + 1, origin, identity, depth))
             else:
-                position = place.position + place.rotation @ joint.origin
-                rotation = place.rotation @ pin.rpy.rpyToMatrix(*joint.rpy)
-                places.append(_Place(joint.child, place.joint, place.joints, position, rotation, depth))
-    return places
+                position = link.position + link.rotation @ joint.origin
+                rotation = link.rotation @ pin.rpy.rpyToMatrix(*joint.rpy)
+                links.append(_PlacedLink(joint.child, link.joint, link.joints, position, rotation, depth))
+    return links
 
 
-def _farthest(group: list[_Place], order: Mapping[str, int]) -> str:
-    enough = max(place.distance for place in group) * (1.0 - 1e-6)
-    far = [place for place in group if place.distance >= enough]
-    return max(far, key=lambda place: (place.depth, -order[place.link])).link
+def _farthest(group: list[_PlacedLink], order: Mapping[str, int]) -> str:
+    enough = max(link.distance for link in group) * (1.0 - 1e-6)
+    far = [link for link in group if link.distance >= enough]
+    return max(far, key=lambda link: (link.depth, -order[link.name])).name
 
 
 def _gripper_joints(description: Description) -> frozenset[str]:

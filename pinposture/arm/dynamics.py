@@ -114,13 +114,13 @@ class Dynamics:
     def path_torques(
         self, start: Array, offsets: Array, slopes: Array, samples: int, dt: float
     ) -> TorqueSamples:
-        """Compute the torques along a path, the cubic curve through its waypoints, at equidistant places.
+        """Compute the torques along a path, the cubic curve through its waypoints, at equidistant samples.
 
         Args:
             start: joint positions at its start, (nv,) [rad or m].
             offsets: displacement of each waypoint from there, (N + 1, nv) [rad or m].
             slopes: change of it per waypoint, (N + 1, nv).
-            samples: number of places, from the start to the end.
+            samples: number of samples, from the start to the end.
             dt: duration of a step [s]; path speeds are in waypoints per step.
         """
         shape = (samples, len(start))

@@ -219,7 +219,7 @@ class Expressions:
         if name == "join":
             _require_items(len(value) * len(values[0]) + _size(values[0]))
         if name in ("rfind", "rindex", "rpartition", "rsplit") and values and values[0]:
-            self.spend(len(value) * len(values[0]))  # which compare at each place
+            self.spend(len(value) * len(values[0]))  # which compare at each index
         return getattr(value, name)(*values, **named)
 
     def _listed(self, value: Any) -> Any:

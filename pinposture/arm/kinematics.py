@@ -341,20 +341,20 @@ class Chain:
             spans[together] = np.maximum(spans[together], self.module_lengths[together].sum())
         return np.asarray(spans)
 
-    def flattened(self, places: Array) -> Array:
+    def flattened(self, points: Array) -> Array:
         """Project points of a planar arm into its plane, world frame.
 
         Args:
-            places: points on the arm, at any configuration, (..., 3) [m].
+            points: points on the arm, at any configuration, (..., 3) [m].
 
         Returns:
             For a planar arm, the points projected along its normal onto the plane of its base; for a spatial
             one, the points unchanged.
         """
         if len(self.plane) == 3:
-            return places
+            return points
         normal = np.cross(*self.plane)
-        return np.asarray(places - ((places - self.base) @ normal)[..., None] * normal)
+        return np.asarray(points - ((points - self.base) @ normal)[..., None] * normal)
 
 
 def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:

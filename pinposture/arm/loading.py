@@ -31,7 +31,7 @@ from pinposture.arm.soft_limits import soft_limit_warnings, soft_limited, with_s
 from pinposture.arm.sources import Source, find_urdf
 from pinposture.arm.specification import ArmSpec, Split
 from pinposture.arm.urdf import CHAIN_JOINTS, JointDescription, is_urdf_text, quote_joints, quote_names
-from pinposture.errors import InvalidValue, URDFError
+from pinposture.errors import InvalidValue, URDFError, enumerated
 from pinposture.units import length_text
 
 ALLOWED_LENGTHS = (1e-9, 1e9)
@@ -366,8 +366,8 @@ def _off_chain(description: Description, base: str, tip: str, still: list[JointD
         while link not in links and link != description.root:
             link = description.joint_before[link].parent
         branches[link].append(joint.name)
-    places = [f"{len(names)} at link {link!r} ({quote_names(names, 3)})" for link, names in branches.items()]
-    listed = "; ".join(places[:6]) + ("; ..." if len(places) > 6 else "")
+    locked = (f"{len(names)} at link {link!r} ({quote_names(names, 3)})" for link, names in branches.items())
+    listed = enumerated(locked, between="; ")
     return f"{count_joints(len(still))} off the chain from {base!r} to {tip!r} locked: {listed}"
 
 

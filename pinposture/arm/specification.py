@@ -49,7 +49,7 @@ from pinposture.storage import settled
 
 
 @declared()
-class PlacementSpec(Declared):
+class PoseSpec(Declared):
     """A placement in the world.
 
     Attributes:
@@ -65,7 +65,7 @@ class PlacementSpec(Declared):
         return pin.SE3(pin.rpy.rpyToMatrix(*self.rotation), np.array(self.position))
 
     @classmethod
-    def of(cls, placement: pin.SE3) -> PlacementSpec:
+    def of(cls, placement: pin.SE3) -> PoseSpec:
         """Describe a placement; its rotation is accurate to 1e-15."""
         return cls(position=placement.translation.tolist(), rotation=roll_pitch_yaw(placement.rotation))
 
@@ -248,7 +248,7 @@ class ArmSpec(Declared):
     ] = field(default_factory=dict)
     xacro_args: Annotated[dict[str, str], read_by(_read_xacro_args)] = field(default_factory=dict)
     hard_limits: Flag = False
-    placement: Annotated[PlacementSpec | None, _of_fields(PlacementSpec)] = None
+    placement: Annotated[PoseSpec | None, _of_fields(PoseSpec)] = None
     characteristic_length: Length | None = None
     weight: Annotated[Weight | None, _of_fields(Weight)] = None
 

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class Placements(NamedTuple):
+class JointFrames(NamedTuple):
     """Placements of the joints of a model at s configurations, world frame.
 
     The frames are at the joints, and parallel to the world at the neutral configuration.
@@ -65,7 +65,7 @@ class TreeKinematics:
         self.turns = np.array([placement.rotation for placement in placements])
         self._others = (np.flatnonzero(self.joints.kinds == OTHERWISE) + 1).tolist()
 
-    def place(self, q: Array, offsets: Array | None = None) -> Placements:
+    def place(self, q: Array, offsets: Array | None = None) -> JointFrames:
         """Compute the joint placements at one or several configurations.
 
         Args:
@@ -75,7 +75,7 @@ class TreeKinematics:
         positions, others = self.positions(q, offsets)
         count = len(positions)
         joints = self._model.njoints
-        placements = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
+        placements = JointFrames(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
         kernels.place_joints(self.joints, positions, others, placements.rotations, placements.origins)
         return placements
 
@@ -107,7 +107,7 @@ class TreeKinematics:
         return (q if plain else self._space.difference(self._space.origin, q)) + offsets, others
 
     def differentiate(
-        self, placements: Placements, first: Indices, second: Indices, points: Array, normals: Array
+        self, placements: JointFrames, first: Indices, second: Indices, points: Array, normals: Array
     ) -> Array:
         """Return the derivatives of distances with respect to joint displacement, (k, nv) [m/rad or m/m].
 
@@ -136,7 +136,7 @@ class TreeKinematics:
     def _add_others(
         self,
         joint: int,
-        placements: Placements,
+        placements: JointFrames,
         sides: tuple[Indices, Indices],
         points: Array,
         normals: Array,
@@ -188,13 +188,13 @@ class Narrow(threading.local):
     """What queries to coal need; each thread has its own.
 
     Attributes:
-        places: two placements for reuse, as creating one takes longer than a query.
+        transforms: two placements for reuse, as creating one takes longer than a query.
         requests: the requests, to be made in this order until one succeeds.
         result: the result of the last one.
     """
 
     def __init__(self) -> None:
-        self.places = coal.Transform3s(), coal.Transform3s()
+        self.transforms = coal.Transform3s(), coal.Transform3s()
         # By default distances are off by up to a micrometre per metre, which shows in derivatives. The search
         # in penetration cannot be more precise: it then fails and returns a distance of 1.8e308.
         self.requests = coal.DistanceRequest(), coal.DistanceRequest()
@@ -205,7 +205,7 @@ class Narrow(threading.local):
 
 NO_PAIR = -1
 
-_PLACES = ("lines", "centers", "frames", "halves")
+_MOVING = ("lines", "centers", "frames", "halves")
 """What tells in `Pairs` where obstacles are."""
 
 
@@ -304,7 +304,7 @@ class PairDistances:
         """Prepare the solids and sort the pairs into groups.
 
         Args:
-            bodies: the bodies, each in the frame of its joint, as in `Placements`.
+            bodies: the bodies, each in the frame of its joint, as in `JointFrames`.
             joints: the joints that carry them.
             fixed: the obstacles, world frame.
             pairs: indices as in `first` and `second`.
@@ -390,7 +390,7 @@ class PairDistances:
         bodies = len(self._joints)
         other._solids = list(self._solids)
         other._fixed = list(self._fixed)
-        arrays = self._arrays._replace(**{name: getattr(self._arrays, name).copy() for name in _PLACES})
+        arrays = self._arrays._replace(**{name: getattr(self._arrays, name).copy() for name in _MOVING})
         for k, solid in changes.items():
             other._solids[bodies + k] = solid
             other._fixed[k] = coal.Transform3s(solid.rotation, solid.position)
@@ -417,12 +417,12 @@ class PairDistances:
         other._solids = moment._solids
         other._fixed = moment._fixed
         there = moment._arrays
-        places = {name: getattr(there, name) for name in _PLACES}
-        other._arrays = self._arrays._replace(**places, trees=there.trees)
+        moved = {name: getattr(there, name) for name in _MOVING}
+        other._arrays = self._arrays._replace(**moved, trees=there.trees)
         return other
 
     def open_pieces(self, center: Array) -> list[Piece]:
-        """Return the pieces of surfaces without a closed form, those nearest to a place, (3,) [m], first."""
+        """Return the pieces of surfaces without a closed form, those nearest to a point, (3,) [m], first."""
         ranked = []
         for number in np.unique(self.second[~self._arrays.exact]):
             solid = self._solids[number]
@@ -432,7 +432,7 @@ class PairDistances:
         pieces = [self._solids[number].shape for _, number in sorted(ranked)]
         return [piece for piece in pieces if isinstance(piece, tuple)]
 
-    def near(self, placements: Placements, within: float) -> NearPairs:
+    def near(self, placements: JointFrames, within: float) -> NearPairs:
         """Find the pairs nearer than a distance, and the nearest pair of all.
 
         Args:
@@ -482,7 +482,7 @@ class PairDistances:
         order = np.argsort(distances, kind="stable")
         return NearPairs(near[order], distances[order], points[order], normals[order], best, pair)
 
-    def minimum(self, placements: Placements, below: float = np.inf) -> tuple[float, int]:
+    def minimum(self, placements: JointFrames, below: float = np.inf) -> tuple[float, int]:
         """Return distance and index of the nearest pair over several configurations.
 
         Args:
@@ -692,24 +692,24 @@ class PairDistances:
                 return Contacts._make([*(column[:count] for column in contacts[:-1]), minima])
             self._near = 2 * count // len(positions) + 1
 
-    def axes(self, pair: int, placements: Placements, place: Array) -> tuple[Array, Array]:
+    def axes(self, pair: int, placements: JointFrames, point: Array) -> tuple[Array, Array]:
         """Return the axis ends of the bounding capsules of both solids of a pair, (2, 3) each [m].
 
-        For a piece of a surface, both ends are `place`, its point nearest to the body, (3,).
+        For a piece of a surface, both ends are `point`, that nearest to the body, (3,).
         """
         ends = np.concatenate([self._ends(placements)[0], self._arrays.lines])
         moving = ends[self.first[pair]]
         still = ends[self.second[pair]]
-        return moving, np.stack([place, place]) if self._arrays.kinds[pair] in (PIECE, INSIDE) else still
+        return moving, np.stack([point, point]) if self._arrays.kinds[pair] in (PIECE, INSIDE) else still
 
-    def _ends(self, placements: Placements) -> Array:
+    def _ends(self, placements: JointFrames) -> Array:
         """Return the axis ends of all bodies, (s, bodies, 2, 3) [m], world frame."""
         ends = np.empty((len(placements.origins), *self._local.shape))
         kernels.place_axes(self._carriers, self._local, placements.rotations, placements.origins, ends)
         return ends
 
     def _pose_bodies(
-        self, placements: Placements, samples: int | Indices, bodies: slice | Indices = slice(None)
+        self, placements: JointFrames, samples: int | Indices, bodies: slice | Indices = slice(None)
     ) -> Poses:
         """Return the poses of bodies, k of them, each at a sample of the placements."""
         joints = self._carriers[bodies]
@@ -727,7 +727,7 @@ class PairDistances:
         """
         narrow = self._narrow
         result = narrow.result
-        here, there = narrow.places
+        here, there = narrow.transforms
         bodies = len(self._joints)
         distances = np.full(len(pairs), np.nan)
         for k, pair in enumerate(pairs.tolist()):

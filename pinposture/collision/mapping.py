@@ -29,7 +29,7 @@ from pinposture.collision.distances import TreeKinematics
 from pinposture.collision.model import CollisionObjects, stationary_ends
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import OccupancyGrid
-from pinposture.kernels.occupancy import CELLS, EDGE, FULL_EVIDENCE
+from pinposture.kernels.occupancy import OCCUPANCY
 
 Array = NDArray[np.float64]
 Unknown: TypeAlias = Literal["free", "forbidden"]
@@ -206,16 +206,16 @@ class Map:
         self._publish()
 
     def _make_grid(self) -> OccupancyGrid:
-        across = 2.0 * self.reach / (EDGE * self.resolution)
+        across = 2.0 * self.reach / (OCCUPANCY.edge * self.resolution)
         if across > MAPPING.max_cells:
             raise InvalidValue("reach", self.reach, f"less at a resolution of {self.resolution:g} m")
         blocks = math.ceil(across * (1.0 - 1e-12))
-        count = blocks**3 * CELLS
+        count = blocks**3 * OCCUPANCY.cells
         if count > MAPPING.max_cells:
             least = 2.0 * self.reach / MAPPING.max_cells ** (1.0 / 3.0)
             allowed = f"at least {least:.2g} m with a reach of {self.reach:g} m"
             raise InvalidValue("resolution", self.resolution, allowed)
-        corner = np.array(self.center) - 0.5 * blocks * EDGE * self.resolution
+        corner = np.array(self.center) - 0.5 * blocks * OCCUPANCY.edge * self.resolution
         return OccupancyGrid(
             corner=corner,
             resolution=self.resolution,
@@ -226,7 +226,7 @@ class Map:
         )
 
     def __repr__(self) -> str:
-        width = EDGE * self._grid.blocks * self.resolution
+        width = OCCUPANCY.edge * self._grid.blocks * self.resolution
         cells = len(self.cells.points)
         size = f"{width:.3g} m in cells of {self.resolution:g} m"
         return f"Map({size}, {cells} on surfaces, unknown is {self.unknown})"
@@ -405,9 +405,9 @@ class Map:
         Raises:
             InvalidValue: not finite points.
         """
-        places = finite_array("points", points, (None, 3))
-        states = np.empty(len(places), dtype=np.int64)
-        kernels.read_cells(self._grid, self._scale, places, states)
+        located = finite_array("points", points, (None, 3))
+        states = np.empty(len(located), dtype=np.int64)
+        kernels.read_cells(self._grid, self._scale, located, states)
         return states
 
     @property
@@ -416,32 +416,32 @@ class Map:
         grid = self._grid
         self._rescale()
         blocks = np.flatnonzero(grid.used)
-        evidence = grid.evidence.reshape(-1, CELLS)[blocks]
+        evidence = grid.evidence.reshape(-1, OCCUPANCY.cells)[blocks]
         which, inner = np.nonzero(evidence)
         n = grid.blocks
         block = blocks[which]
-        places = np.column_stack([block // (n * n), block // n % n, block % n])
-        cells = EDGE * places + np.column_stack([inner >> 6, inner >> 3 & 7, inner & 7])
+        corners = np.column_stack([block // (n * n), block // n % n, block % n])
+        cells = OCCUPANCY.edge * corners + np.column_stack([inner >> 6, inner >> 3 & 7, inner & 7])
         return MapContent(cells, evidence[which, inner].astype(np.float64), self.time)
 
     def _take(self, content: MapContent) -> None:
         """Take what a file tells."""
         grid = self._grid
-        size = EDGE * grid.blocks
+        size = OCCUPANCY.edge * grid.blocks
         cells = np.asarray(content.cells)
         evidence = finite_array("evidence", content.evidence) if len(cells) else np.zeros(0)
         if cells.shape != (len(evidence), 3) or cells.dtype.kind != "i":
             raise InvalidValue("cells (shape)", cells.shape, f"whole numbers, ({len(evidence)}, 3)")
         if len(cells) and not (cells.min() >= 0 and cells.max() < size):
             raise InvalidValue("cells", int(cells.max()), f"coordinates from 0 to {size - 1}")
-        within = (evidence == -1.0) | ((evidence > 0.0) & (evidence <= FULL_EVIDENCE))
+        within = (evidence == OCCUPANCY.free) | ((evidence > 0.0) & (evidence <= OCCUPANCY.full))
         if not np.all(within):
-            allowed = f"-1, or more than 0 and at most {FULL_EVIDENCE:g}"
+            allowed = f"{OCCUPANCY.free:g}, or more than 0 and at most {OCCUPANCY.full:g}"
             raise InvalidValue("evidence", float(evidence[~within][0]), allowed)
         x, y, z = (cells >> 3).T
         blocks = (x * grid.blocks + y) * grid.blocks + z
         x, y, z = (cells & 7).T
-        grid.evidence[blocks * CELLS + (x << 6) + (y << 3) + z] = evidence
+        grid.evidence[blocks * OCCUPANCY.cells + (x << 6) + (y << 3) + z] = evidence
         grid.used[blocks] = 1
         self.time = self._scaled_at = _time(content.time)
 

@@ -17,10 +17,10 @@ from pinposture.arm.arm import kept
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import STAND_IN_RADIUS, Body, bodies_of, carried_bodies
 from pinposture.collision.distances import (
+    JointFrames,
     MotionSearch,
     NearPairs,
     PairDistances,
-    Placements,
     TreeKinematics,
 )
 from pinposture.collision.obstacles import Obstacle
@@ -76,7 +76,7 @@ class CollisionObjects(NamedTuple):
         arm: the arm.
         kinematics: the kinematics of its model.
         joints: index of the joint that carries each body.
-        solids: the bodies, each in the frame of its joint, as in `Placements`; the obstacles that the arm
+        solids: the bodies, each in the frame of its joint, as in `JointFrames`; the obstacles that the arm
             carries come last.
         fixed: the other obstacles, world frame.
         depths: how far beneath its surface the distance from each obstacle counts, as in `PairDistances` [m].
@@ -853,7 +853,7 @@ class CollisionModel:
     def _closest(self, distance: float, pair: int) -> Closest:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)
 
-    def _escape_normals(self, near: NearPairs, placements: Placements) -> Array:
+    def _escape_normals(self, near: NearPairs, placements: JointFrames) -> Array:
         """Return the normals, with an escape direction where one is undefined or points out of the plane."""
         normals = near.normals.copy()
         lost = ~normals.any(axis=1)

@@ -27,7 +27,7 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.collision.cells import Cells
-from pinposture.collision.distances import PairDistances, Placements
+from pinposture.collision.distances import JointFrames, PairDistances
 from pinposture.collision.obstacles import Obstacle, ObstacleField, displaced
 from pinposture.collision.shapes import UNTURNED, Point, Size, Sphere, Turn
 from pinposture.document import Document, plain_data
@@ -571,5 +571,5 @@ def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float
     ]
     pairs = [(0, 1 + k) for k in range(len(named))]
     distances = PairDistances([Sphere((x, y, z), radius).solid()], [0], [solid for _, solid in named], pairs)
-    near = distances.near(Placements(np.eye(3)[None, None], np.zeros((1, 1, 3))), within)
+    near = distances.near(JointFrames(np.eye(3)[None, None], np.zeros((1, 1, 3))), within)
     return tuple(dict.fromkeys(named[k][0] for k in np.sort(distances.second[near.pairs] - 1)))

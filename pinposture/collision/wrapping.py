@@ -281,8 +281,8 @@ def winding_around(
             "gap", gap, f"about {length_text(needed)} or more, or fewer turns: it rounds the edges"
         )
     s = np.linspace(0.0, total, count)
-    places, tangents = outline.at(touch + s)
-    wound = np.column_stack([places, middle - 0.5 * rise + rise * s / total])
+    points, tangents = outline.at(touch + s)
+    wound = np.column_stack([points, middle - 0.5 * rise + rise * s / total])
     onto = np.append(tangents[0], rise / total)
     return Winding(body, wound @ frame, onto @ frame / np.linalg.norm(onto))
 

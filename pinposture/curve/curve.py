@@ -305,7 +305,7 @@ class Curve(Geometry):
         if self.degree == k and len(self.coefficients) == n and self.control_points is not None:
             return self
         s = np.linspace(0.0, self.length, _samples(self, n))
-        places = self.at(s)
+        samples = self.at(s)
         knots = clamped_uniform_knots(n, k)
         # The curve's own parameter suits splines with more knots of this kind, the fraction of the length
         # curves whose parameter is unrelated to uniform knots.
@@ -316,7 +316,7 @@ class Curve(Geometry):
         for parameters in ((u - begin) / (end - begin), s / self.length):
             basis = csr_array(BSpline.design_matrix(np.clip(parameters, 0.0, 1.0), knots, k))
             try:
-                fits.append(_fit(basis, places))
+                fits.append(_fit(basis, samples))
             except LinAlgError:  # no sample is near some control point
                 continue
         coefficients, _ = min(fits, key=lambda fit: fit[1])
@@ -620,12 +620,12 @@ def _samples(curve: Geometry, count: int) -> int:
     return max(COMPARISON.fewest, COMPARISON.per_point * count, COMPARISON.per_span * spans) + 1
 
 
-def _fit(basis: csr_array, places: Array) -> tuple[Array, float]:
+def _fit(basis: csr_array, samples: Array) -> tuple[Array, float]:
     """Fit control points (n, 3) [m] to samples (m, 3) [m] by least squares, with fixed end points.
 
     Args:
         basis: value of each basis function at each sample, (m, n).
-        places: the samples.
+        samples: the samples.
 
     Returns:
         Control points, and the residual sum of squares [m^2].
@@ -634,13 +634,13 @@ def _fit(basis: csr_array, places: Array) -> tuple[Array, float]:
         LinAlgError: the samples do not determine some control point.
     """
     coefficients = np.zeros((basis.shape[1], 3))
-    coefficients[[0, -1]] = places[[0, -1]]
-    rest = places - basis @ coefficients
+    coefficients[[0, -1]] = samples[[0, -1]]
+    rest = samples - basis @ coefficients
     inner = basis[:, 1:-1]
     if inner.shape[1]:
         normal = (inner.T @ inner).toarray()
         coefficients[1:-1] = solve(normal, inner.T @ rest, assume_a="pos")
-    left = places - basis @ coefficients
+    left = samples - basis @ coefficients
     return coefficients, float(np.einsum("ij,ij->", left, left))
 
 

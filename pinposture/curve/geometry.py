@@ -255,9 +255,9 @@ class Geometry:
         return hash((self.degree, (self.knots + 0.0).tobytes(), (self.coefficients + 0.0).tobytes()))
 
     def __repr__(self) -> str:
-        places = np.stack([self.start, self.end])
-        places[np.abs(places) < TOLERANCES.end * self.length] = 0
-        begin, end = (", ".join(f"{x:.4g}" for x in point) for point in places)
+        ends = np.stack([self.start, self.end])
+        ends[np.abs(ends) < TOLERANCES.end * self.length] = 0
+        begin, end = (", ".join(f"{x:.4g}" for x in point) for point in ends)
         spans = len(self._spline.breaks) - 1
         return (
             f"{type(self).__name__}(length {self.length:.6g} m, from ({begin}) to ({end}), "
@@ -354,7 +354,7 @@ class Geometry:
         checked = as_points(np.asarray(points)[None] if one else points, least=0)
         spline, length = self.measured
         pieces = 256  # at least, among which the nearest is sought
-        nearest = kernels.nearest_places(spline, length, pieces, checked)
+        nearest = kernels.nearest_parameters(spline, length, pieces, checked)
         parameter = nearest[:, 0].copy()
         distance = nearest[:, 1].copy()
         return Nearest(parameter[0], distance[0]) if one else Nearest(parameter, distance)
@@ -391,8 +391,8 @@ class Geometry:
         return np.cross(velocity, self._values(u, 2)), np.linalg.norm(velocity, axis=1)
 
 
-def _shaped(places: Array, shape: tuple[int, ...]) -> Array:
-    return places if shape else places[0]
+def _shaped(points: Array, shape: tuple[int, ...]) -> Array:
+    return points if shape else points[0]
 
 
 def _scalar(values: Array, shape: tuple[int, ...]) -> float | Array:

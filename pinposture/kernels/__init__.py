@@ -45,7 +45,7 @@ _KERNELS = {
     "joint_response": "follow_commands watch_joints",
     "kinematics": ("carry_screws jacobians joints_along motions_along move_frame placements trace_points"),
     "manipulability": (
-        "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
+        "all_indices base_indices best_branch best_path module_spaces section_indices_by_size weakest_index"
     ),
     "modules": "module_crossings module_faces module_forward module_inverse neighbours place_modules",
     "occupancy": "cast_rays clear_capsules find_surface forget_cells place_pixels read_cells",
@@ -58,7 +58,7 @@ _KERNELS = {
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",
     "rate_of_change": "fit_rate",
     "spline": (
-        "expand_spans find_stationary_point measure_length nearest_places parameters_at "
+        "expand_spans find_stationary_point measure_length nearest_parameters parameters_at "
         "spline_coefficients spline_values"
     ),
     "target_point": "next_target_point",

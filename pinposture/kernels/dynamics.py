@@ -10,6 +10,8 @@ them together: a row of a body has the number k of all lanes from `k * lanes` on
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
@@ -29,36 +31,60 @@ from pinposture.kernels.kinematics import rotation_about, turn_row
 LANES = 8
 """Number of postures that are computed together. With 4 a path of 40 joints took 9 % longer."""
 
-AXIS = 9
-LEVER = 12
-CENTER = 15
-INERTIA = 18
-"""Where a row of a body has, after the orientation, the axis of the joint, the way to its origin from that of
-the frame that carries it, the centre of mass and the moments of inertia."""
 
-SPIN = 24
-SPIN_RATE = 27
-ACCELERATION = 30
-FORCE = 33
-MOMENT = 36
-"""Where it has angular velocity and acceleration, the acceleration of the origin, and the force and the
-moment that the body takes."""
+class RowLayout(NamedTuple):
+    """Where the row of a body has what, after the orientation of its frame.
 
-SPEED = 39
-CHANGE = 40
-TORQUE = 41
-"""Where it has velocity and acceleration of the joint, and its torque."""
+    A loop over lanes that reads and writes one row alone needs no check whether two overlap.
+    """
 
-OTHER = 42
-ROW_SIZE = 51
-"""Where it has numbers of the frame that carries it; and its length. A loop over lanes that reads and writes
-one row alone needs no check whether two overlap."""
+    axis: int = 9
+    """The axis of the joint."""
 
-QUARTER = 0.5 * np.pi
-QUARTER_HIGH = float.fromhex("0x1.921fb544p0")
-QUARTER_MIDDLE = float.fromhex("0x1.0b4611a6p-34")
-QUARTER_LOW = float.fromhex("0x1.3198a2e037073p-69")
-"""A quarter turn [rad], and three parts of it: 33 bits, the next 33, and what is left."""
+    lever: int = 12
+    """The way to its origin from that of the frame that carries it."""
+
+    center: int = 15
+    """The centre of mass."""
+
+    inertia: int = 18
+    """The moments of inertia."""
+
+    spin: int = 24
+    """The angular velocity."""
+
+    spin_rate: int = 27
+    """The angular acceleration."""
+
+    acceleration: int = 30
+    """The acceleration of the origin."""
+
+    force: int = 33
+    """The force that the body takes."""
+
+    moment: int = 36
+    """The moment that the body takes."""
+
+    speed: int = 39
+    """The velocity of the joint."""
+
+    change: int = 40
+    """Its acceleration."""
+
+    torque: int = 41
+    """Its torque."""
+
+    other: int = 42
+    """Numbers of the frame that carries it."""
+
+    size: int = 51
+    """The length of the row."""
+
+
+ROW = RowLayout()
+
+QUARTER_TURN = tuple(map(float.fromhex, ("0x1.921fb544p0", "0x1.0b4611a6p-34", "0x1.3198a2e037073p-69")))
+"""Three parts of a quarter turn [rad]: 33 bits, the next 33, and what is left."""
 
 
 @inlined
@@ -122,8 +148,8 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
     They are the power series of what is left beside the nearest quarter turn, up to where further terms are
     less than rounding. Up to 1e5 rad they are within 3e-16 of the exact ones.
     """
-    turns = np.floor(angle * (1.0 / QUARTER) + 0.5)
-    x = ((angle - turns * QUARTER_HIGH) - turns * QUARTER_MIDDLE) - turns * QUARTER_LOW
+    turns = np.floor(angle * (2.0 / np.pi) + 0.5)
+    x = ((angle - turns * QUARTER_TURN[0]) - turns * QUARTER_TURN[1]) - turns * QUARTER_TURN[2]
     y = -x * x
     c = 1.0 + y * (1.0 / 182.0) * (1.0 + y * (1.0 / 240.0))
     c = 1.0 + y * (1.0 / 56.0) * (1.0 + y * (1.0 / 90.0) * (1.0 + y * (1.0 / 132.0) * c))
@@ -156,7 +182,7 @@ def put(row: Array1, at: int, lanes: int, w: int, a: Three) -> None:
 def copy_lanes(source: Array1, first: int, size: int, lanes: int, filled: Array1) -> None:
     """Copy numbers of another row, in all lanes."""
     for k in range(size * lanes):
-        filled[OTHER * lanes + k] = source[first * lanes + k]
+        filled[ROW.other * lanes + k] = source[first * lanes + k]
 
 
 @inlined
@@ -181,12 +207,12 @@ def unload_lanes(joints: Joints, first: int, lanes: int, rows: Array2, filled: A
         ratio = joints.ratios[u]
         column = joints.columns[u]
         for w in range(some):
-            filled[first + w, column] += ratio * row[TORQUE * lanes + w]
+            filled[first + w, column] += ratio * row[ROW.torque * lanes + w]
 
 
 @inlined
 def place_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> None:
-    """Fill in orientations, axes, levers and centres of bodies, (k + 1, ROW_SIZE lanes).
+    """Fill in orientations, axes, levers and centres of bodies, (k + 1, ROW.size lanes).
 
     The positions of the joints are where their axes will be.
     """
@@ -199,9 +225,9 @@ def place_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> No
         if joints.kinds[u] != SLIDES:
             row = rows[u + 1]
             for w in range(lanes):
-                cosine, sine = cosine_and_sine(row[AXIS * lanes + w])
-                row[AXIS * lanes + w] = cosine
-                row[(AXIS + 1) * lanes + w] = sine
+                cosine, sine = cosine_and_sine(row[ROW.axis * lanes + w])
+                row[ROW.axis * lanes + w] = cosine
+                row[(ROW.axis + 1) * lanes + w] = sine
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
         copy_lanes(rows[joints.parents[u]], 0, 9, lanes, row)
@@ -212,24 +238,24 @@ def place_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> No
         center = (bodies.centers[u, 0], bodies.centers[u, 1], bodies.centers[u, 2])
         slides = joints.kinds[u] == SLIDES
         for w in range(lanes):
-            first = get(row, OTHER, lanes, w)
-            second = get(row, OTHER + 3, lanes, w)
-            third = get(row, OTHER + 6, lanes, w)
+            first = get(row, ROW.other, lanes, w)
+            second = get(row, ROW.other + 3, lanes, w)
+            third = get(row, ROW.other + 6, lanes, w)
             axis = (dot(first, (x, y, z)), dot(second, (x, y, z)), dot(third, (x, y, z)))
             lever = (dot(first, offset), dot(second, offset), dot(third, offset))
             if slides:
-                lever = add(lever, scale(axis, row[AXIS * lanes + w]))
+                lever = add(lever, scale(axis, row[ROW.axis * lanes + w]))
             else:
-                turn = rotation_about(x, y, z, row[AXIS * lanes + w], row[(AXIS + 1) * lanes + w])
+                turn = rotation_about(x, y, z, row[ROW.axis * lanes + w], row[(ROW.axis + 1) * lanes + w])
                 first = turn_row(first[0], first[1], first[2], turn)
                 second = turn_row(second[0], second[1], second[2], turn)
                 third = turn_row(third[0], third[1], third[2], turn)
             put(row, 0, lanes, w, first)
             put(row, 3, lanes, w, second)
             put(row, 6, lanes, w, third)
-            put(row, AXIS, lanes, w, axis)
-            put(row, LEVER, lanes, w, lever)
-            put(row, CENTER, lanes, w, (dot(first, center), dot(second, center), dot(third, center)))
+            put(row, ROW.axis, lanes, w, axis)
+            put(row, ROW.lever, lanes, w, lever)
+            put(row, ROW.center, lanes, w, (dot(first, center), dot(second, center), dot(third, center)))
 
 
 @inlined
@@ -251,15 +277,15 @@ def turn_inertias(bodies: Bodies, lanes: int, rows: Array2) -> None:
             first = turn_row(a[0], a[1], a[2], inertia)
             second = turn_row(b[0], b[1], b[2], inertia)
             third = turn_row(c[0], c[1], c[2], inertia)
-            put(row, INERTIA, lanes, w, (dot(first, a), dot(second, b), dot(third, c)))
-            put(row, INERTIA + 3, lanes, w, (dot(first, b), dot(first, c), dot(second, c)))
+            put(row, ROW.inertia, lanes, w, (dot(first, a), dot(second, b), dot(third, c)))
+            put(row, ROW.inertia + 3, lanes, w, (dot(first, b), dot(first, c), dot(second, c)))
 
 
 @inlined
 def turned_by(row: Array1, lanes: int, w: int, a: Three) -> Three:
     """Return the angular momentum of a placed body that turns about its centre of mass."""
-    xx, yy, zz = get(row, INERTIA, lanes, w)
-    xy, xz, yz = get(row, INERTIA + 3, lanes, w)
+    xx, yy, zz = get(row, ROW.inertia, lanes, w)
+    xy, xz, yz = get(row, ROW.inertia + 3, lanes, w)
     return (
         xx * a[0] + xy * a[1] + xz * a[2],
         xy * a[0] + yy * a[1] + yz * a[2],
@@ -278,22 +304,22 @@ def move_bodies_by(joints: Joints, bodies: Bodies, upward: Three, lanes: int, ro
         lanes: number of postures.
         rows: the placed bodies, with velocities and accelerations of their joints.
     """
-    rows[0, SPIN * lanes : SPEED * lanes] = 0.0
+    rows[0, ROW.spin * lanes : ROW.speed * lanes] = 0.0
     for w in range(lanes):
-        put(rows[0], ACCELERATION, lanes, w, upward)
+        put(rows[0], ROW.acceleration, lanes, w, upward)
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
-        copy_lanes(rows[joints.parents[u]], SPIN, 9, lanes, row)
+        copy_lanes(rows[joints.parents[u]], ROW.spin, 9, lanes, row)
         mass = bodies.masses[u]
         slides = joints.kinds[u] == SLIDES
         for w in range(lanes):
-            axis = get(row, AXIS, lanes, w)
-            lever = get(row, LEVER, lanes, w)
-            rate = scale(axis, row[SPEED * lanes + w])
-            change = scale(axis, row[CHANGE * lanes + w])
-            spin = get(row, OTHER, lanes, w)
-            spin_rate = get(row, OTHER + 3, lanes, w)
-            origin = add(get(row, OTHER + 6, lanes, w), cross(spin_rate, lever))
+            axis = get(row, ROW.axis, lanes, w)
+            lever = get(row, ROW.lever, lanes, w)
+            rate = scale(axis, row[ROW.speed * lanes + w])
+            change = scale(axis, row[ROW.change * lanes + w])
+            spin = get(row, ROW.other, lanes, w)
+            spin_rate = get(row, ROW.other + 3, lanes, w)
+            origin = add(get(row, ROW.other + 6, lanes, w), cross(spin_rate, lever))
             origin = add(origin, cross(spin, cross(spin, lever)))
             across = cross(spin, rate)
             if slides:
@@ -301,42 +327,42 @@ def move_bodies_by(joints: Joints, bodies: Bodies, upward: Three, lanes: int, ro
             else:
                 spin_rate = add(spin_rate, add(change, across))
                 spin = add(spin, rate)
-            center = get(row, CENTER, lanes, w)
+            center = get(row, ROW.center, lanes, w)
             pull = add(origin, add(cross(spin_rate, center), cross(spin, cross(spin, center))))
             force = scale(pull, mass)
             turning = turned_by(row, lanes, w, spin_rate)
             turning = add(turning, cross(spin, turned_by(row, lanes, w, spin)))
-            put(row, SPIN, lanes, w, spin)
-            put(row, SPIN_RATE, lanes, w, spin_rate)
-            put(row, ACCELERATION, lanes, w, origin)
-            put(row, FORCE, lanes, w, force)
-            put(row, MOMENT, lanes, w, add(cross(center, force), turning))
+            put(row, ROW.spin, lanes, w, spin)
+            put(row, ROW.spin_rate, lanes, w, spin_rate)
+            put(row, ROW.acceleration, lanes, w, origin)
+            put(row, ROW.force, lanes, w, force)
+            put(row, ROW.moment, lanes, w, add(cross(center, force), turning))
     sum_forces(joints, lanes, rows)
 
 
 @inlined
 def push_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> None:
     """Compute the torques that accelerate placed bodies from rest; as `move_bodies_by` without speeds."""
-    rows[0, SPIN_RATE * lanes : FORCE * lanes] = 0.0
+    rows[0, ROW.spin_rate * lanes : ROW.force * lanes] = 0.0
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
-        copy_lanes(rows[joints.parents[u]], SPIN_RATE, 6, lanes, row)
+        copy_lanes(rows[joints.parents[u]], ROW.spin_rate, 6, lanes, row)
         mass = bodies.masses[u]
         slides = joints.kinds[u] == SLIDES
         for w in range(lanes):
-            change = scale(get(row, AXIS, lanes, w), row[CHANGE * lanes + w])
-            spin_rate = get(row, OTHER, lanes, w)
-            origin = add(get(row, OTHER + 3, lanes, w), cross(spin_rate, get(row, LEVER, lanes, w)))
+            change = scale(get(row, ROW.axis, lanes, w), row[ROW.change * lanes + w])
+            spin_rate = get(row, ROW.other, lanes, w)
+            origin = add(get(row, ROW.other + 3, lanes, w), cross(spin_rate, get(row, ROW.lever, lanes, w)))
             if slides:
                 origin = add(origin, change)
             else:
                 spin_rate = add(spin_rate, change)
-            center = get(row, CENTER, lanes, w)
+            center = get(row, ROW.center, lanes, w)
             force = scale(add(origin, cross(spin_rate, center)), mass)
-            put(row, SPIN_RATE, lanes, w, spin_rate)
-            put(row, ACCELERATION, lanes, w, origin)
-            put(row, FORCE, lanes, w, force)
-            put(row, MOMENT, lanes, w, add(cross(center, force), turned_by(row, lanes, w, spin_rate)))
+            put(row, ROW.spin_rate, lanes, w, spin_rate)
+            put(row, ROW.acceleration, lanes, w, origin)
+            put(row, ROW.force, lanes, w, force)
+            put(row, ROW.moment, lanes, w, add(cross(center, force), turned_by(row, lanes, w, spin_rate)))
     sum_forces(joints, lanes, rows)
 
 
@@ -347,8 +373,8 @@ def lift_bodies(joints: Joints, bodies: Bodies, upward: Three, lanes: int, rows:
         row = rows[u + 1]
         force = scale(upward, bodies.masses[u])
         for w in range(lanes):
-            put(row, FORCE, lanes, w, force)
-            put(row, MOMENT, lanes, w, cross(get(row, CENTER, lanes, w), force))
+            put(row, ROW.force, lanes, w, force)
+            put(row, ROW.moment, lanes, w, cross(get(row, ROW.center, lanes, w), force))
     sum_forces(joints, lanes, rows)
 
 
@@ -359,15 +385,15 @@ def sum_forces(joints: Joints, lanes: int, rows: Array2) -> None:
         row = rows[u + 1]
         slides = joints.kinds[u] == SLIDES
         for w in range(lanes):
-            axis = get(row, AXIS, lanes, w)
-            force = get(row, FORCE, lanes, w)
-            moment = get(row, MOMENT, lanes, w)
-            row[TORQUE * lanes + w] = dot(axis, force if slides else moment)
-            put(row, OTHER, lanes, w, force)
-            put(row, OTHER + 3, lanes, w, add(moment, cross(get(row, LEVER, lanes, w), force)))
+            axis = get(row, ROW.axis, lanes, w)
+            force = get(row, ROW.force, lanes, w)
+            moment = get(row, ROW.moment, lanes, w)
+            row[ROW.torque * lanes + w] = dot(axis, force if slides else moment)
+            put(row, ROW.other, lanes, w, force)
+            put(row, ROW.other + 3, lanes, w, add(moment, cross(get(row, ROW.lever, lanes, w), force)))
         parent = rows[joints.parents[u]]
         for k in range(6 * lanes):
-            parent[FORCE * lanes + k] += row[OTHER * lanes + k]
+            parent[ROW.force * lanes + k] += row[ROW.other * lanes + k]
 
 
 @inlined
@@ -382,13 +408,13 @@ def move_some(
 ) -> None:
     """Compute `inverse_dynamics`, some motions at a time."""
     joints, bodies = unpack(indices, numbers)
-    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * lanes))
+    rows = np.empty((len(joints.kinds) + 1, ROW.size * lanes))
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
     for first in range(0, len(positions), lanes):
-        load_lanes(joints, positions, first, AXIS, lanes, rows)
-        load_lanes(joints, velocities, first, SPEED, lanes, rows)
-        load_lanes(joints, accelerations, first, CHANGE, lanes, rows)
+        load_lanes(joints, positions, first, ROW.axis, lanes, rows)
+        load_lanes(joints, velocities, first, ROW.speed, lanes, rows)
+        load_lanes(joints, accelerations, first, ROW.change, lanes, rows)
         place_bodies(joints, bodies, lanes, rows)
         turn_inertias(bodies, lanes, rows)
         move_bodies_by(joints, bodies, upward, lanes, rows)
@@ -427,11 +453,11 @@ def inverse_dynamics(
 def lift_some(indices: Ints1, numbers: Array1, positions: Array2, lanes: int, filled: Array2) -> None:
     """Compute `gravity_torques`, some postures at a time."""
     joints, bodies = unpack(indices, numbers)
-    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * lanes))
+    rows = np.empty((len(joints.kinds) + 1, ROW.size * lanes))
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
     for first in range(0, len(positions), lanes):
-        load_lanes(joints, positions, first, AXIS, lanes, rows)
+        load_lanes(joints, positions, first, ROW.axis, lanes, rows)
         place_bodies(joints, bodies, lanes, rows)
         lift_bodies(joints, bodies, upward, lanes, rows)
         unload_lanes(joints, first, lanes, rows, filled)
@@ -483,7 +509,7 @@ def step_loads(
     """
     joints, bodies = unpack(indices, numbers)
     nv = len(start)
-    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * LANES))
+    rows = np.empty((len(joints.kinds) + 1, ROW.size * LANES))
     positions = np.empty((LANES, nv))
     velocities = np.empty((LANES, nv))
     accelerations = np.empty((LANES, nv))
@@ -501,9 +527,9 @@ def step_loads(
                 positions[w, j] = reached[j]
                 velocities[w, j] = (moves[s, j] + moves[s + 1, j]) / (2.0 * dt)
                 accelerations[w, j] = (moves[s + 1, j] - moves[s, j]) / dt**2
-        load_lanes(joints, positions, 0, AXIS, LANES, rows)
-        load_lanes(joints, velocities, 0, SPEED, LANES, rows)
-        load_lanes(joints, accelerations, 0, CHANGE, LANES, rows)
+        load_lanes(joints, positions, 0, ROW.axis, LANES, rows)
+        load_lanes(joints, velocities, 0, ROW.speed, LANES, rows)
+        load_lanes(joints, accelerations, 0, ROW.change, LANES, rows)
         place_bodies(joints, bodies, LANES, rows)
         turn_inertias(bodies, LANES, rows)
         lift_bodies(joints, bodies, upward, LANES, rows)
@@ -542,7 +568,7 @@ def path_torques(
     nv = len(start)
     pieces = len(offsets) - 1
     samples = len(filled.a)
-    rows = np.empty((len(joints.kinds) + 1, ROW_SIZE * LANES))
+    rows = np.empty((len(joints.kinds) + 1, ROW.size * LANES))
     positions = np.empty((LANES, nv))
     velocities = np.empty((LANES, nv))
     accelerations = np.empty((LANES, nv))
@@ -565,16 +591,16 @@ def path_torques(
                 velocities[w, j] = (one + t * (2.0 * square + t * 3.0 * cubic)) / dt
                 accelerations[w, j] = velocities[w, j] / dt
                 changes[w, j] = (2.0 * square + 6.0 * t * cubic) / dt**2
-        load_lanes(joints, positions, 0, AXIS, LANES, rows)
+        load_lanes(joints, positions, 0, ROW.axis, LANES, rows)
         place_bodies(joints, bodies, LANES, rows)
         turn_inertias(bodies, LANES, rows)
         lift_bodies(joints, bodies, upward, LANES, rows)
         unload_lanes(joints, first, LANES, rows, filled.c)
-        load_lanes(joints, accelerations, 0, CHANGE, LANES, rows)
+        load_lanes(joints, accelerations, 0, ROW.change, LANES, rows)
         push_bodies(joints, bodies, LANES, rows)
         unload_lanes(joints, first, LANES, rows, filled.a)
-        load_lanes(joints, velocities, 0, SPEED, LANES, rows)
-        load_lanes(joints, changes, 0, CHANGE, LANES, rows)
+        load_lanes(joints, velocities, 0, ROW.speed, LANES, rows)
+        load_lanes(joints, changes, 0, ROW.change, LANES, rows)
         move_bodies_by(joints, bodies, floating, LANES, rows)
         unload_lanes(joints, first, LANES, rows, filled.b)
         for w in range(min(LANES, samples - first)):
@@ -599,23 +625,29 @@ def gravity_gradient(indices: Ints1, numbers: Array1, positions: Array1, filled:
     """
     joints, bodies = unpack(indices, numbers)
     count = len(joints.kinds)
-    placed = np.empty((count + 1, ROW_SIZE))
+    placed = np.empty((count + 1, ROW.size))
     carried = np.zeros((count + 1, 4))  # sum of masses, and of masses times levers, from the tips to the base
-    load_lanes(joints, positions.reshape((1, -1)), 0, AXIS, 1, placed)
+    load_lanes(joints, positions.reshape((1, -1)), 0, ROW.axis, 1, placed)
     place_bodies(joints, bodies, 1, placed)
     g = bodies.gravity
     upward = (-g[0], -g[1], -g[2])
     for u in range(count - 1, -1, -1):
         row = carried[u + 1]
         row[0] += bodies.masses[u]
-        put(row, 1, 1, 0, add(get(row, 1, 1, 0), scale(get(placed[u + 1], CENTER, 1, 0), bodies.masses[u])))
+        put(
+            row,
+            1,
+            1,
+            0,
+            add(get(row, 1, 1, 0), scale(get(placed[u + 1], ROW.center, 1, 0), bodies.masses[u])),
+        )
         parent = carried[joints.parents[u]]
         parent[0] += row[0]
-        passed = add(get(row, 1, 1, 0), scale(get(placed[u + 1], LEVER, 1, 0), row[0]))
+        passed = add(get(row, 1, 1, 0), scale(get(placed[u + 1], ROW.lever, 1, 0), row[0]))
         put(parent, 1, 1, 0, add(get(parent, 1, 1, 0), passed))
     filled[:] = 0.0
     for u in range(count):
-        axis = get(placed[u + 1], AXIS, 1, 0)
+        axis = get(placed[u + 1], ROW.axis, 1, 0)
         lifted = scale(axis, carried[u + 1, 0])  # motion of the masses, per motion of the joint
         if joints.kinds[u] != SLIDES:
             lifted = cross(axis, get(carried[u + 1], 1, 1, 0))
@@ -625,7 +657,7 @@ def gravity_gradient(indices: Ints1, numbers: Array1, positions: Array1, filled:
             v = frame - 1
             if joints.kinds[v] != SLIDES:
                 j = joints.columns[v]
-                turn = get(placed[frame], AXIS, 1, 0)
+                turn = get(placed[frame], ROW.axis, 1, 0)
                 slope = joints.ratios[u] * joints.ratios[v] * dot(upward, cross(turn, lifted))
                 filled[i, j] += slope
                 if u != v:

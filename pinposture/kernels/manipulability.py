@@ -14,12 +14,7 @@ from pinposture.kernels.kinematics import difference
 
 Gram = tuple[float, float, float, float, float, float]
 
-RECOMPUTED_DIFFERENCE = 1e-7
-"""Difference of the squares of an index and a threshold below which the index is recomputed accurately."""
-
 DETERMINANT_ERROR = 1e-14  # largest rounding error of the determinant of a Gram matrix of trace 1
-MAX_SWEEPS = 40  # maximum number of sweeps of Jacobi rotations; three vectors take about five
-ORTHOGONAL = 1e-15  # cosine of the angle between two vectors at which they count as orthogonal
 
 
 @subkernel
@@ -168,20 +163,20 @@ def base_indices(screws: Screws, plane: Array2, threshold: float, filled: Array1
                     yy += P[1, j] * vv[j, k] * P[1, k]
             gram = (xx, xy, 0.0, yy, 0.0, 0.0)
         filled[i] = _index(gram, d)
-        if abs(filled[i] * filled[i] - threshold * threshold) < RECOMPUTED_DIFFERENCE:
+        if abs(filled[i] * filled[i] - threshold * threshold) < 1e-7:  # then rounding decides
             filled[i] = _section_index(screws, plane, 0, i + 1)
 
 
 @compiled
-def stride_indices(screws: Screws, plane: Array2, strides: Ints1, filled: Array2) -> None:
-    """Compute the indices of the sections with given numbers of modules, `strides` (S,).
+def section_indices_by_size(screws: Screws, plane: Array2, sizes: Ints1, filled: Array2) -> None:
+    """Compute the indices of the sections with given numbers of modules, `sizes` (S,).
 
     `filled` (S, m + 1), initially zeros, is filled with the index of the section that ends at each node; node
     k + 1 is point k. Other arguments are as in `all_indices`.
     """
-    for j in range(len(strides)):
-        for end in range(strides[j], len(screws.ends) + 1):
-            filled[j, end] = _section_index(screws, plane, end - strides[j], end)
+    for j in range(len(sizes)):
+        for end in range(sizes[j], len(screws.ends) + 1):
+            filled[j, end] = _section_index(screws, plane, end - sizes[j], end)
 
 
 @compiled
@@ -364,14 +359,14 @@ def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> No
     for i in range(size):
         for j in range(size):
             turns[i, j] = 1.0 if i == j else 0.0
-    for _ in range(MAX_SWEEPS):
+    for _ in range(40):  # sweeps; three vectors take about five
         turned = False
         for i in range(size - 1):
             for j in range(i + 1, size):
                 ii = _product(vectors, i, i, length)
                 jj = _product(vectors, j, j, length)
                 ij = _product(vectors, i, j, length)
-                if abs(ij) <= ORTHOGONAL * np.sqrt(ii * jj):
+                if abs(ij) <= 1e-15 * np.sqrt(ii * jj):
                     continue
                 turned = True
                 zeta = (jj - ii) / (2.0 * ij)
@@ -421,18 +416,18 @@ def _complete_basis(directions: Array2, rank: int) -> None:
 
 @compiled
 def best_branch(
-    root: int, leaf: int, strides: Ints1, stable: Flags2, logs: Array2, bonus: Array1, mean: bool, path: Ints1
+    root: int, leaf: int, sizes: Ints1, stable: Flags2, logs: Array2, bonus: Array1, mean: bool, path: Ints1
 ) -> tuple[int, float]:
     """Find the branch of a tree of sections with the largest score, from its stable edges and their indices.
 
     Of all paths to a node with equally many stable edges, only the one with the largest product of indices
-    can be part of it. Of equally good ones the first by end, edges and strides is chosen.
+    can be part of it. Of equally good ones the first by end, edges and sizes is chosen.
 
     Args:
         root: the node at which all branches begin.
         leaf: the last node.
-        strides: numbers of modules that an edge may have, (S,); increasing.
-        stable: which edges are stable, by stride and by the node they lead to, (S, N).
+        sizes: numbers of modules that an edge may have, (S,); increasing.
+        stable: which edges are stable, by size and by the node they lead to, (S, N).
         logs: logarithms of their indices, (S, N).
         bonus: added to the logarithm of the score for each number of stable edges, (C,); minus infinity for
             numbers that are not allowed.
@@ -444,12 +439,12 @@ def best_branch(
     """
     counts = len(bonus)
     product = np.full((leaf + 1, counts), -np.inf)  # its logarithm, by node and edges left
-    before = np.zeros((leaf + 1, counts), np.int16)  # the stride of the last edge
+    before = np.zeros((leaf + 1, counts), np.int16)  # the size of the last edge
     product[root, 0] = 0.0
-    for node in range(root + strides[0], leaf + 1):
-        most = min(counts, (node - root) // strides[0] + 1)
-        for j in range(len(strides)):
-            start = node - strides[j]
+    for node in range(root + sizes[0], leaf + 1):
+        most = min(counts, (node - root) // sizes[0] + 1)
+        for j in range(len(sizes)):
+            start = node - sizes[j]
             if start < root:
                 break
             gained = 1 if stable[j, node] else 0
@@ -462,7 +457,7 @@ def best_branch(
     node = root
     left = 0
     best = -np.inf
-    for end in range(max(root, leaf - strides[0] + 1), leaf + 1):
+    for end in range(max(root, leaf - sizes[0] + 1), leaf + 1):
         for edges in range(counts):
             score = bonus[edges] + (product[end, edges] / max(edges, 1) if mean else product[end, edges])
             if score > best:
@@ -476,5 +471,5 @@ def best_branch(
             path[count] = node
             count += 1
             left -= 1
-        node -= strides[j]
+        node -= sizes[j]
     return count, best

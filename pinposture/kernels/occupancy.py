@@ -2,9 +2,9 @@
 
 A cell in which a ray ends gains evidence, once per picture and up to a limit; evidence decays with a time
 constant. A cell that rays pass through, and in which none ends in that picture, loses as much, and is free as
-soon as less than `OCCUPIED` is left. So the state of a cell after a picture in which a ray ended there is
-always occupied. Evidence is stored times a scale that grows with time, so that decay needs no pass through
-the grid: the threshold grows instead.
+soon as less than `OCCUPANCY.occupied` is left. So the state of a cell after a picture in which a ray ended
+there is always occupied. Evidence is stored times a scale that grows with time, so that decay needs no pass
+through the grid: the threshold grows instead.
 
 Cells are stored block by block, so that neighbours in space are near each other in memory, and memory of
 blocks that no ray has reached is never touched.
@@ -12,31 +12,53 @@ blocks that no ray has reached is never touched.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Ints1, OccupancyGrid, Three
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
-EDGE = 8
-CELLS = 512
-"""Cells along the edge of a block, and in it."""
 
-FULL_EVIDENCE = 4.0
-"""Most evidence for a cell: pictures in which something has been seen there. As many that see through it make
-it free: 0.4 s at 10 pictures a second."""
+class OccupancySettings(NamedTuple):
+    """What a grid consists of, and the evidence in its cells; 0 if nothing is known."""
 
-OCCUPIED = 0.5
-"""Evidence up to which a cell does not count as occupied: half of that of one picture."""
+    edge: int = 8
+    """Cells along the edge of a block."""
 
-STATES = 3
-ENDED = 0
-PASSED = 1
-HIT = 2
-"""Marks of a cell, on top of three times the number of the picture: a ray that met no surface ends there, one
-passes through, or one ends on a surface."""
+    cells: int = 512
+    """Cells in a block."""
 
-FREE = -1.0
-UNKNOWN = 0.0
+    full: float = 4.0
+    """Most evidence for a cell: pictures in which something has been seen there. As many that see through it
+    make it free: 0.4 s at 10 pictures a second."""
+
+    occupied: float = 0.5
+    """Evidence up to which a cell does not count as occupied: half of that of one picture."""
+
+    free: float = -1.0
+    """Evidence of a free cell."""
+
+
+OCCUPANCY = OccupancySettings()
+
+
+class RayMarks(NamedTuple):
+    """Marks of a cell, on top of `count` times the number of the picture."""
+
+    ended: int = 0
+    """A ray that met no surface ends there."""
+
+    passed: int = 1
+    """One passes through."""
+
+    hit: int = 2
+    """One ends on a surface."""
+
+    count: int = 3
+
+
+MARKS = RayMarks()
 
 
 @compiled
@@ -80,11 +102,11 @@ def place_pixels(
 @inlined
 def _cell_index(blocks: int, x: int, y: int, z: int) -> int:
     """Return the index of a cell from its coordinates, or -1 if it is outside the grid."""
-    size = EDGE * blocks
+    size = OCCUPANCY.edge * blocks
     if x < 0 or y < 0 or z < 0 or x >= size or y >= size or z >= size:
         return -1
     block = ((x >> 3) * blocks + (y >> 3)) * blocks + (z >> 3)
-    return block * CELLS + ((x & 7) << 6) + ((y & 7) << 3) + (z & 7)
+    return block * OCCUPANCY.cells + ((x & 7) << 6) + ((y & 7) << 3) + (z & 7)
 
 
 @subkernel
@@ -121,7 +143,7 @@ def _axis_distance(lines: Array3, body: int, x: float, y: float, z: float) -> fl
 def _bodies_near(grid: OccupancyGrid, block: int, lines: Array3, radii: Array1) -> int:
     """Return a bit for each capsule that may reach into a block; bodies share bits from the 63rd on."""
     n = grid.blocks
-    edge = EDGE * grid.resolution
+    edge = OCCUPANCY.edge * grid.resolution
     x = grid.corner[0] + (block // (n * n) + 0.5) * edge
     y = grid.corner[1] + (block // n % n + 0.5) * edge
     z = grid.corner[2] + (block % n + 0.5) * edge
@@ -164,14 +186,14 @@ def cast_rays(
         Number of points left out as the arm's own.
     """
     n = grid.blocks
-    size = float(EDGE * n)
+    size = float(OCCUPANCY.edge * n)
     inverse = 1.0 / grid.resolution
     begin = (
         (origin[0] - grid.corner[0]) * inverse,
         (origin[1] - grid.corner[1]) * inverse,
         (origin[2] - grid.corner[2]) * inverse,
     )
-    base = STATES * picture
+    base = MARKS.count * picture
     near = np.full(n * n * n, -1, dtype=np.int64)
     rays = np.empty((len(points), 4))
     count = 0
@@ -194,15 +216,15 @@ def cast_rays(
             way = (way[0] * last, way[1] * last, way[2] * last)
         at = _cell_index(
             n,
-            min(max(int(np.floor(begin[0] + way[0])), 0), EDGE * n - 1),
-            min(max(int(np.floor(begin[1] + way[1])), 0), EDGE * n - 1),
-            min(max(int(np.floor(begin[2] + way[2])), 0), EDGE * n - 1),
+            min(max(int(np.floor(begin[0] + way[0])), 0), OCCUPANCY.edge * n - 1),
+            min(max(int(np.floor(begin[1] + way[1])), 0), OCCUPANCY.edge * n - 1),
+            min(max(int(np.floor(begin[2] + way[2])), 0), OCCUPANCY.edge * n - 1),
         )
         mark = grid.marks[at]
-        if mark == base + HIT or (mark == base + ENDED and not ends):
+        if mark == base + MARKS.hit or (mark == base + MARKS.ended and not ends):
             continue
         if ends and len(lines) > 0:
-            block = at // CELLS
+            block = at // OCCUPANCY.cells
             if near[block] < 0:
                 near[block] = _bodies_near(grid, block, lines, radii)
             bits = near[block]
@@ -219,12 +241,12 @@ def cast_rays(
                 continue
         if ends:
             evidence = grid.evidence[at] / scale
-            evidence = evidence if evidence > OCCUPIED else 0.0
-            grid.evidence[at] = min(evidence + 1.0, FULL_EVIDENCE) * scale
-            grid.used[at // CELLS] = 1
-            grid.marks[at] = base + HIT
+            evidence = evidence if evidence > OCCUPANCY.occupied else 0.0
+            grid.evidence[at] = min(evidence + 1.0, OCCUPANCY.full) * scale
+            grid.used[at // OCCUPANCY.cells] = 1
+            grid.marks[at] = base + MARKS.hit
         else:
-            grid.marks[at] = base + ENDED
+            grid.marks[at] = base + MARKS.ended
         rays[count, 0] = way[0]
         rays[count, 1] = way[1]
         rays[count, 2] = way[2]
@@ -239,7 +261,7 @@ def cast_rays(
 def _follow(grid: OccupancyGrid, base: int, scale: float, begin: Three, way: Three, ends: bool) -> None:
     """Pass through the cells of a ray, but for the one in which it ends on a surface."""
     n = grid.blocks
-    size = EDGE * n
+    size = OCCUPANCY.edge * n
     first, _ = _clip(begin, way, float(size))
     first = first * (1.0 + 1e-12)
     x = min(max(int(np.floor(begin[0] + first * way[0])), 0), size - 1)
@@ -261,8 +283,8 @@ def _follow(grid: OccupancyGrid, base: int, scale: float, begin: Three, way: Thr
         at = _cell_index(n, x, y, z)
         if at < 0:
             return
-        if grid.marks[at] < base + PASSED:
-            grid.marks[at] = base + PASSED
+        if grid.marks[at] < base + MARKS.passed:
+            grid.marks[at] = base + MARKS.passed
             _pass(grid, at, scale)
         if leaves >= 1.0:
             return
@@ -281,11 +303,11 @@ def _follow(grid: OccupancyGrid, base: int, scale: float, begin: Three, way: Thr
 def _pass(grid: OccupancyGrid, at: int, scale: float) -> None:
     """Take from a cell the evidence of one picture."""
     left = grid.evidence[at] / scale - 1.0
-    if left > OCCUPIED:
+    if left > OCCUPANCY.occupied:
         grid.evidence[at] = left * scale
     else:
-        grid.evidence[at] = FREE
-        grid.used[at // CELLS] = 1
+        grid.evidence[at] = OCCUPANCY.free
+        grid.used[at // OCCUPANCY.cells] = 1
 
 
 @compiled
@@ -298,7 +320,7 @@ def clear_capsules(grid: OccupancyGrid, lines: Array3, radii: Array1) -> None:
         radii: their radii, (b,).
     """
     inverse = 1.0 / grid.resolution
-    size = EDGE * grid.blocks
+    size = OCCUPANCY.edge * grid.blocks
     low = np.empty(3, dtype=np.int64)
     high = np.empty(3, dtype=np.int64)
     for body in range(len(lines)):
@@ -315,8 +337,8 @@ def clear_capsules(grid: OccupancyGrid, lines: Array3, radii: Array1) -> None:
                     pz = grid.corner[2] + (z + 0.5) * grid.resolution
                     if _axis_distance(lines, body, px, py, pz) <= radii[body]:
                         at = _cell_index(grid.blocks, x, y, z)
-                        grid.evidence[at] = FREE
-                        grid.used[at // CELLS] = 1
+                        grid.evidence[at] = OCCUPANCY.free
+                        grid.used[at // OCCUPANCY.cells] = 1
 
 
 @compiled
@@ -329,10 +351,10 @@ def forget_cells(grid: OccupancyGrid, scale: float) -> None:
     """
     for block in range(len(grid.used)):
         if grid.used[block]:
-            for at in range(block * CELLS, (block + 1) * CELLS):
+            for at in range(block * OCCUPANCY.cells, (block + 1) * OCCUPANCY.cells):
                 if grid.evidence[at] > 0.0:
                     left = grid.evidence[at] / scale
-                    grid.evidence[at] = left if left > OCCUPIED else UNKNOWN
+                    grid.evidence[at] = left if left > OCCUPANCY.occupied else 0.0
 
 
 @compiled
@@ -346,7 +368,7 @@ def read_cells(grid: OccupancyGrid, scale: float, points: Array2, states: Ints1)
         states: filled with 1 for occupied, -1 for free, 0 for unknown and outside the grid, (m,).
     """
     inverse = 1.0 / grid.resolution
-    size = float(EDGE * grid.blocks)
+    size = float(OCCUPANCY.edge * grid.blocks)
     for k in range(len(points)):
         x = min(max((points[k, 0] - grid.corner[0]) * inverse, -1.0), size)
         y = min(max((points[k, 1] - grid.corner[1]) * inverse, -1.0), size)
@@ -355,7 +377,7 @@ def read_cells(grid: OccupancyGrid, scale: float, points: Array2, states: Ints1)
         states[k] = 0
         if at >= 0:
             evidence = grid.evidence[at]
-            states[k] = 1 if evidence > OCCUPIED * scale else (-1 if evidence < 0.0 else 0)
+            states[k] = 1 if evidence > OCCUPANCY.occupied * scale else (-1 if evidence < 0.0 else 0)
 
 
 @subkernel
@@ -393,25 +415,25 @@ def find_surface(grid: OccupancyGrid, picture: int, scale: float, forbidden: boo
     """
     n = grid.blocks
     found = 0
-    least = OCCUPIED * scale
-    base = STATES * picture
+    least = OCCUPANCY.occupied * scale
+    base = MARKS.count * picture
     full = np.zeros(len(grid.used), dtype=np.bool_)
     mixed = np.zeros(len(grid.used), dtype=np.bool_)
     for block in range(len(grid.used)):
         if grid.used[block]:
             count = 0
-            for at in range(block * CELLS, (block + 1) * CELLS):
+            for at in range(block * OCCUPANCY.cells, (block + 1) * OCCUPANCY.cells):
                 count += int(grid.evidence[at] < 0.0) if forbidden else int(grid.evidence[at] > least)
-            full[block] = count == CELLS
+            full[block] = count == OCCUPANCY.cells
             mixed[block] = count > 0
     for block in range(len(grid.used)):
         if not mixed[block] or (full[block] and _is_enclosed(full, n, block)):
             continue
-        bx = block // (n * n) * EDGE
-        by = block // n % n * EDGE
-        bz = block % n * EDGE
-        for inner in range(CELLS):
-            at = block * CELLS + inner
+        bx = block // (n * n) * OCCUPANCY.edge
+        by = block // n % n * OCCUPANCY.edge
+        bz = block % n * OCCUPANCY.edge
+        for inner in range(OCCUPANCY.cells):
+            at = block * OCCUPANCY.cells + inner
             evidence = grid.evidence[at]
             if (evidence >= 0.0) if forbidden else (evidence <= least):
                 continue

@@ -11,7 +11,7 @@ from pinposture.kernels.compiled import compiled, subkernel
 
 
 class SplineSettings(NamedTuple):
-    """Settings of arc lengths, their inverse, and the search for places where a curve stands still."""
+    """Settings of arc lengths, their inverse, and the search for points where a curve stands still."""
 
     halvings: int = 48
     """Largest number of halvings of a span, enough for a speed that nearly vanishes."""
@@ -393,7 +393,7 @@ def nearest_within(
 
 
 @compiled
-def nearest_places(spline: SplineArrays, length: LengthArrays, pieces: int, points: Array2) -> Array2:
+def nearest_parameters(spline: SplineArrays, length: LengthArrays, pieces: int, points: Array2) -> Array2:
     """Find the points of the curve nearest to given points; one of them if several are equally near.
 
     The curve is cut into pieces. If the midpoint of a piece is at a distance d, and its ends at most r away

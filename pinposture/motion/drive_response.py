@@ -295,7 +295,7 @@ DELAY = 1
 FRICTION = 2
 COMPLIANCE = 3
 CARRIED = 4
-"""Places of the parameters: the last is compliance times payload."""
+"""Indices of the parameters: the last is compliance times payload."""
 
 
 class Series(NamedTuple):
@@ -355,10 +355,10 @@ class Fit(NamedTuple):
     rest: float
     widening: float
 
-    def parameter(self, place: int) -> tuple[float, float, float]:
+    def parameter(self, index: int) -> tuple[float, float, float]:
         """Return value, lower and upper end of a parameter."""
-        widening = self.widening if place >= COMPLIANCE else 1.0
-        return jackknife(float(self.values[place]), self.left_out[:, place], widening)
+        widening = self.widening if index >= COMPLIANCE else 1.0
+        return jackknife(float(self.values[index]), self.left_out[:, index], widening)
 
     def payload(self) -> tuple[float, float, float]:
         """Return value, lower and upper end of the payload [kg], of a fit with one."""
@@ -380,7 +380,7 @@ def fit_drives(series: Sequence[Series], loads: int = 0, free: Sequence[int] = (
     Args:
         series: the joints.
         loads: 0 without loads, 1 with the compliance, 2 also with a payload.
-        free: places of the parameters that are fitted; the others are zero. Empty: all.
+        free: indices of the parameters that are fitted; the others are zero. Empty: all.
     """
     problem = _Problem(series, loads, tuple(free) or tuple(range(COMPLIANCE + loads)))
     fits = [problem.solve(problem.begin(start)) for start in DRIVE_FIT.first_guesses]

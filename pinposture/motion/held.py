@@ -120,7 +120,7 @@ class Stages:
         return poses
 
     def number(self, row: float) -> int:
-        """Return the number of the stage in which a row is, or a place between rows."""
+        """Return the number of the stage in which a row is, or a position between rows."""
         return bisect_right(self._rows, row) - 1
 
     def scene(self, number: int, scene: Scene) -> Scene:

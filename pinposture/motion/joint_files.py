@@ -74,9 +74,6 @@ PER_SECOND = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 
 _HEADING = re.compile(rf"(.+) ({'|'.join(PER_SECOND)})(?: \[([^\[\]]*)\])?")
 
-Places = dict[tuple[str, str], int]
-"""Column of each joint and kind."""
-
 
 def write_table(trajectory: JointTrajectory, path: Path) -> None:
     """Write a table; numbers have enough digits to be read back exactly.
@@ -109,7 +106,7 @@ def read_table(path: Path) -> JointTrajectory:
     number, headings = next(lines, (0, []))
     if not number:
         raise FileError(path, f"is empty; allowed: a line of headings, {TIME!r} first, then rows of numbers")
-    places, units = _headings(path, number, headings)
+    columns, units = _headings(path, number, headings)
     rows: list[list[float]] = []
     before = 0
     for number, fields in lines:
@@ -126,7 +123,7 @@ def read_table(path: Path) -> JointTrajectory:
         raise FileError(path, "contains headings but no rows")
     # A last column of NaN stands for missing rates.
     table = np.array([[*row, nan] for row in rows])
-    values = [table[:, [places.get((joint, kind), -1) for joint in units]] for kind in PER_SECOND]
+    values = [table[:, [columns.get((joint, kind), -1) for joint in units]] for kind in PER_SECOND]
     return with_computed_rates(path, tuple(units), table[:, 0], values, tuple(units.values()))
 
 
@@ -142,11 +139,13 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
         raise FileError(path, f"line {reader.line_num}: {error}") from error
 
 
-def _headings(path: Path, number: int, headings: Sequence[str]) -> tuple[Places, dict[str, str]]:
-    """Return the columns, and the unit of each joint's position in the order of their first columns."""
+def _headings(
+    path: Path, number: int, headings: Sequence[str]
+) -> tuple[dict[tuple[str, str], int], dict[str, str]]:
+    """Return the column of each joint and kind, and each joint's unit of position, as they come first."""
     if headings[0] != TIME:
         raise FileError(path, f"line {number}, column 1: {headings[0]!r}; allowed: {TIME!r}")
-    places: Places = {}
+    columns: dict[tuple[str, str], int] = {}
     units: dict[str, str] = {}
     for k, heading in enumerate(headings[1:], start=1):
         where = f"line {number}, column {k + 1}: {heading!r}"
@@ -163,17 +162,17 @@ def _headings(path: Path, number: int, headings: Sequence[str]) -> tuple[Places,
         if units.setdefault(joint, base) != base:
             other = units[joint] or "no unit"
             raise FileError(path, f"{where}: other columns of this joint are in {other!r}")
-        if (joint, kind) in places:
-            raise FileError(path, f"{where} is also column {places[joint, kind] + 1}; allowed: once")
-        places[joint, kind] = k
+        if (joint, kind) in columns:
+            raise FileError(path, f"{where} is also column {columns[joint, kind] + 1}; allowed: once")
+        columns[joint, kind] = k
     for kind in PER_SECOND:
-        missing = [joint for joint in units if (joint, kind) not in places]
+        missing = [joint for joint in units if (joint, kind) not in columns]
         if missing and (kind == "position" or len(missing) < len(units)):
             has = "position" if kind == "position" else f"{kind}, as others have"
             raise FileError(path, f"line {number}: joint {missing[0]!r} has no column for its {has}")
     if not units:
         raise FileError(path, f"line {number}: no joints; allowed: a column for the position of each")
-    return places, units
+    return columns, units
 
 
 def _number(path: Path, number: int, headings: Sequence[str], column: int, field: str) -> float:

@@ -25,7 +25,7 @@ class ObstacleVelocitySettings(NamedTuple):
     noise of 1 mm leaves an error of 1 cm/s."""
 
     exact_pose: float = 1e-7
-    """Noise that exact poses count with: of places, in arm lengths, and of axes."""
+    """Noise that exact poses count with: of positions, in arm lengths, and of axes."""
 
     pictures: float = 2.0
     """Time in which the next pose is expected, in longest times between the last poses."""

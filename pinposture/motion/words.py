@@ -153,11 +153,11 @@ def _duration(summary: Mapping[str, Any]) -> str:
     return text
 
 
-def _keyframes(places: list[dict[str, Any]], arm_length: float) -> str:
-    """Describe the named places, one per line, in columns."""
-    width = max(len(waypoint["name"]) for waypoint in places)
+def _keyframes(waypoints: list[dict[str, Any]], arm_length: float) -> str:
+    """Describe the named waypoints, one per line, in columns."""
+    width = max(len(waypoint["name"]) for waypoint in waypoints)
     lines = []
-    for waypoint in places:
+    for waypoint in waypoints:
         line = f"{waypoint['name']:{width}}  planned {waypoint['planned']:8.4g} s, "
         if waypoint["reached"] is None:
             line += "not reached"

@@ -608,11 +608,11 @@ class SlidingFit(FitProblem):
             np.concatenate([(part[1:] + part[:-1]) / 2.0, part[1:]])[self._sampled]
             for part in (stations, jacobians, along)
         )
-        places = np.interp(at, np.append(0.0, along[self._points]), np.append(self._start, s))
-        places = np.clip(places, 0.0, curve.length)
-        ahead = np.einsum("ij,ij->i", points - curve.at(places), curve.tangent(places))
-        places = np.clip(places + ahead, 0.0, curve.length)
-        gaps = points - curve.at(places)
-        tangents = curve.tangent(places)
+        parameters = np.interp(at, np.append(0.0, along[self._points]), np.append(self._start, s))
+        parameters = np.clip(parameters, 0.0, curve.length)
+        ahead = np.einsum("ij,ij->i", points - curve.at(parameters), curve.tangent(parameters))
+        parameters = np.clip(parameters + ahead, 0.0, curve.length)
+        gaps = points - curve.at(parameters)
+        tangents = curve.tangent(parameters)
         across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
         return np.einsum("pij,pj->pi", across, gaps).ravel(), (across @ jacobians).reshape(-1, self._joints)

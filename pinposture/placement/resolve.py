@@ -46,7 +46,7 @@ from pinposture.placement.module_kinematics import (
 from pinposture.placement.target import (
     IN_MILLIMETRES,
     Moved,
-    Placement,
+    PlacedModules,
     Target,
     beginning,
     distance_from_curve,
@@ -85,7 +85,7 @@ OFF_CURVE = 0.1
 neighbouring modules bound to one plane (`Chain.spans`)."""
 
 
-def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = None) -> Placement:
+def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = None) -> PlacedModules:
     """Place modules from base to tip, each on the next point of the curve that it can reach (Algorithm 1).
 
     Args:
@@ -110,7 +110,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
     return placed._replace(parameters=np.minimum(placed.parameters, curve.length))
 
 
-def _place_modules(arm: Arm, curve: Curve, samples: int, near: Target | None) -> Placement:
+def _place_modules(arm: Arm, curve: Curve, samples: int, near: Target | None) -> PlacedModules:
     runs = group_runs(arm)
     walk = Walk(arm, curve, samples, near)
     failure = None
@@ -118,7 +118,7 @@ def _place_modules(arm: Arm, curve: Curve, samples: int, near: Target | None) ->
         failure = walk.place(run)
         if failure is not None:
             break
-    return Placement(walk.positions, walk.parameters, failure, kinematics_names(arm))
+    return PlacedModules(walk.positions, walk.parameters, failure, kinematics_names(arm))
 
 
 class Walk:
@@ -440,7 +440,7 @@ def far_moved(arm: Arm, what: str, moved: Moved) -> str:
 
 def _place(
     arm: Arm, curve: Curve, method: str, samples: int, near: Target | None
-) -> tuple[Placement, str, str]:
+) -> tuple[PlacedModules, str, str]:
     """Place the modules; "auto" does so one by one if that works, else all at once.
 
     Returns:
@@ -452,7 +452,7 @@ def _place(
         else:
             placed = _place_together(arm, curve, method, near)
         return placed, method, ""
-    fitted: Placement | None = None
+    fitted: PlacedModules | None = None
     if np.any(fitting_slides(arm)) and not has_custom_kinematics(arm):
         fitted = _place_together(arm, curve, "closest", near)
         if fitted.failure is None:
@@ -478,7 +478,7 @@ def _place(
     return in_turn, "sequential", ""
 
 
-def _place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None) -> Placement:
+def _place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None) -> PlacedModules:
     """Place the modules one by one; if `near` is None, near the straight arm, whose slides fit the curve."""
     if near is not None or not np.any(fitting_slides(arm)):
         return place_in_turn(arm, curve, samples, near)
@@ -490,7 +490,7 @@ def _place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None) ->
     return placed
 
 
-def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
+def _leaves_curve(arm: Arm, curve: Curve, placed: PlacedModules) -> str:
     """Return a message if links are far from a curve although the control points are on it, else ""."""
     q = arm.configuration(placed.positions)
     if max(_link_lengths(arm, q)) / 2.0 <= FAR * arm.length:
@@ -529,7 +529,7 @@ def _bends(arm: Arm, positions: Array) -> tuple[Array, Array]:
 
 def _place_together(
     arm: Arm, curve: Curve, method: str, near: Target | None, to_end: bool = True
-) -> Placement:
+) -> PlacedModules:
     """Fit the whole arm by least squares; fail if a control point ends up too far from the curve.
 
     Slides extend the arm to the end of the curve, or not that far if control points would leave the curve.
@@ -561,10 +561,10 @@ def _place_together(
         retracted = _place_together(arm, curve, method, near, to_end=False)
         if retracted.failure is None or isinstance(retracted.failure, CurveEndsEarly):
             return retracted
-    return Placement(positions, ends, failure)
+    return PlacedModules(positions, ends, failure)
 
 
-def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target | None) -> Target:
+def _target(arm: Arm, curve: Curve, result: PlacedModules, method: str, near: Target | None) -> Target:
     weights = np.ones(arm.n_modules)
     reason = ""
     if result.failure is not None:

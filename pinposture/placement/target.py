@@ -358,7 +358,7 @@ class Moved(NamedTuple):
         return max(self.distance, self.angle) > ROUNDING
 
 
-class Placement(NamedTuple):
+class PlacedModules(NamedTuple):
     """Positions of the modules of an arm on a curve.
 
     Attributes:
@@ -446,7 +446,7 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
     best = int(np.argmax(distances))
     farthest = float(distances[best])
     last = len(links) - 1
-    peak = (min(best, last), float(best > last), 0.5)  # link, place on it, and distance to the next sample
+    peak = (min(best, last), float(best > last), 0.5)  # link, position on it, and distance to the next sample
     # The distance changes by at most the way along a link, so most parts of links need no closer look.
     half = 0.5
     link = np.arange(len(links))

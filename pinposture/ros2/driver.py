@@ -27,7 +27,7 @@ from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.placement import Target, resolve_targets
 from pinposture.ros2.clouds import CloudFrames, read_points
 from pinposture.ros2.diagnostics import CycleTimes, Occurrences, diagnostics
-from pinposture.ros2.failures import POLLING, Locked, Outlook, Outlooks, as_possible
+from pinposture.ros2.failures import POLLING, Fallback, FallbackSearch, Locked, as_possible
 from pinposture.ros2.graph import latest_only, sensor_data
 from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
 from pinposture.ros2.shape_readings import FAULTS, ShapeReadings, ShapeSensing
@@ -60,7 +60,7 @@ arm rests there: soft or sticking drives stop short of it."""
 STALE_SPEED = 0.25
 """Share of the limits of velocity with which an arm moves on a stale map, if it does not hold."""
 
-OUTLOOK_PERIOD = 1.0
+FALLBACK_PERIOD = 1.0
 """Time between two looks at what is possible without locked joints [s], as for targets that are streamed."""
 
 LED = "the operator leads the arm out"
@@ -286,12 +286,12 @@ class Driver:
             self._read_clouds, "pinposture-clouds", deliver=self._take_faults, merge=lambda a, b: a | b
         )
         self._placing: Latest[Curve, Target] = Latest(self._place, "pinposture-path", deliver=self._deliver)
-        self._outlooks = Outlooks()
-        self._outlook = ""
+        self._fallbacks = FallbackSearch()
+        self._fallback = ""
         self._preparing = ""
         self._wanted: Mapping[str, float] = self.locked
-        self._ahead: Latest[Locked, Outlook] = Latest(
-            self._look_ahead, "pinposture-outlook", deliver=self._pass_outlook_on, period=OUTLOOK_PERIOD
+        self._ahead: Latest[Locked, Fallback] = Latest(
+            self._look_ahead, "pinposture-fallback", deliver=self._pass_fallback_on, period=FALLBACK_PERIOD
         )
         self._way_in = WayIn(arm)
         self._stuck: set[str] = set()  # that cannot be locked
@@ -618,7 +618,7 @@ class Driver:
         limits = self._limits({})
         return Locked(self.arm, arm, positions, q, target, self._scene, limits, self._way_in.rows, leave)
 
-    def _look_ahead(self, locked: Locked, outdated: Event) -> Outlook:
+    def _look_ahead(self, locked: Locked, outdated: Event) -> Fallback:
         """Prepare a tracker, if other joints are locked, and find what is possible. Runs in a thread."""
         if locked.arm is not self.tracker.arm:
             tracker = self._new_tracker(locked.arm, locked.scene)
@@ -626,8 +626,8 @@ class Driver:
                 pass
             self._posted.put(lambda: self._take_over(locked, tracker))
         if not locked.positions or self._guide is not None:
-            return Outlook(None, None, LED if self._guide is not None else "no joint is locked")
-        return self._outlooks.find(locked, outdated)
+            return Fallback(None, None, LED if self._guide is not None else "no joint is locked")
+        return self._fallbacks.find(locked, outdated)
 
     def _take_over(self, locked: Locked, tracker: Tracker) -> None:
         """Go on with another tracker from where the last one has sent the arm, at rest."""
@@ -649,23 +649,23 @@ class Driver:
         self._performance = None
         if locked.positions is self._wanted:
             self._preparing = ""
-        self._outlook = (LED if self._guide is not None else "searched for") if self.locked else ""
+        self._fallback = (LED if self._guide is not None else "searched for") if self.locked else ""
 
-    def _pass_outlook_on(self, done: Done[Locked, Outlook]) -> None:
-        """Pass an outlook on to the cycle; called in the thread."""
-        self._posted.put(lambda: self._take_outlook(done))
+    def _pass_fallback_on(self, done: Done[Locked, Fallback]) -> None:
+        """Pass a fallback on to the cycle; called in the thread."""
+        self._posted.put(lambda: self._take_fallback(done))
 
-    def _take_outlook(self, done: Done[Locked, Outlook]) -> None:
-        """Tell an outlook, and begin the way out if it is wanted."""
-        outlook = done.answer
-        if outlook is None:
+    def _take_fallback(self, done: Done[Locked, Fallback]) -> None:
+        """Tell a fallback, and begin the way out if it is wanted."""
+        fallback = done.answer
+        if fallback is None:
             self._preparing = ""
         idle = self._guide is not None or not (done.request.positions or done.request.leave)
-        if idle and outlook is not None:
+        if idle and fallback is not None:
             return
-        self._outlook = str(done.error if outlook is None else outlook)
-        if done.request.leave and self._retreats and outlook is not None and outlook.way_out is not None:
-            motion = outlook.way_out.sampled(self._period)
+        self._fallback = str(done.error if fallback is None else fallback)
+        if done.request.leave and self._retreats and fallback is not None and fallback.way_out is not None:
+            motion = fallback.way_out.sampled(self._period)
             self._performance = Performance(self.tracker.arm, motion)
 
     def _require_way_in(self) -> None:
@@ -687,9 +687,9 @@ class Driver:
             return
         q = self._configuration(self._joints.measurement(self._now()))
         if q is None:
-            self._outlook = "not searched for: the joints were not measured"
+            self._fallback = "not searched for: the joints were not measured"
             return
-        self._outlook = "searched for"
+        self._fallback = "searched for"
         self._ahead.ask(self._situation(self.tracker.arm, self.locked, q, leave))
 
     # Clouds.
@@ -839,7 +839,7 @@ class Driver:
             stale if self.settings.stale == "hold" else "",
             "the parameter hold is true" if self._hold else "",
             self._preparing,
-            f"the arm is to retreat; way out: {self._outlook}" if waits else "",
+            f"the arm is to retreat; way out: {self._fallback}" if waits else "",
         )
         return next(filter(None, reasons), "")
 
@@ -924,7 +924,7 @@ class Driver:
             "violated": "; ".join(report.violated_constraints),
             "failing joints": "; ".join(map(str, report.failures)),
             "locked joints": "; ".join(f"{name} at {at:.4g}" for name, at in self.locked.items()),
-            "without them": self._outlook,
+            "without them": self._fallback,
             "target": self._target_fault or ("given" if self.tracker.target is not None else "none"),
             "cells seen by cameras": len(self._map.cells.points),
             "age of the last cloud": self._cloud_age(now),

@@ -61,7 +61,7 @@ class Locked(NamedTuple):
     leave: bool
 
 
-class Outlook(NamedTuple):
+class Fallback(NamedTuple):
     """What an arm with locked joints can still do.
 
     Attributes:
@@ -87,7 +87,7 @@ def as_possible(arm: Arm, target: Target) -> Target:
     return Target.from_points(arm, target.points, target.weights)
 
 
-def find_outlook(locked: Locked) -> Outlook:
+def find_fallback(locked: Locked) -> Fallback:
     """Find what an arm with locked joints can still do; takes seconds."""
     error = None
     arm = locked.arm
@@ -110,22 +110,22 @@ def find_outlook(locked: Locked) -> Outlook:
             budget=SEARCH_TIME,
         ).ways
     except PostureError as refused:
-        return Outlook(error, None, str(refused))
+        return Fallback(error, None, str(refused))
     if way.path is None:
-        return Outlook(error, None, way.reason)
+        return Fallback(error, None, way.reason)
     timed = retime(way.path, locked.limits)
     dt = cycle_of(locked.limits)
-    return Outlook(error, JointTrajectory.from_configurations(arm, timed.configurations, dt), "")
+    return Fallback(error, JointTrajectory.from_configurations(arm, timed.configurations, dt), "")
 
 
-class Outlooks:
-    """Finds outlooks in another process, which starts with the first one and takes seconds to."""
+class FallbackSearch:
+    """Finds fallbacks in another process, which starts with the first one and takes seconds to."""
 
     def __init__(self) -> None:
         self._process: BackgroundProcess | None = None
 
-    def find(self, locked: Locked, outdated: Event) -> Outlook:
-        """Return an outlook.
+    def find(self, locked: Locked, outdated: Event) -> Fallback:
+        """Return a fallback.
 
         Args:
             locked: the arm.
@@ -138,15 +138,15 @@ class Outlooks:
         if self._process is None:
             self._process = BackgroundProcess()
         process = self._process
-        process.submit(find_outlook, locked)
+        process.submit(find_fallback, locked)
         while not process.done():
             if outdated.is_set():
                 process.interrupt()
             time.sleep(POLLING)
         try:
-            outlook: Outlook = process.result()
+            fallback: Fallback = process.result()
         except Interrupted as ended:
             raise Outdated from ended
         except EOFError as ended:
             raise PostureError("the process that looked for it was ended from outside") from ended
-        return outlook
+        return fallback

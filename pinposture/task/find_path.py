@@ -144,9 +144,9 @@ def find_path(
     while len(curves) < TREES.enough_paths:
         bend = sharpest * TREES.bend_shares[rng.integers(len(TREES.bend_shares))]
         tree = _ArcTree(begin, ahead, end, bend, plane, arm.length, space)
-        places = tree.grow(rng, until)
-        if places is not None:
-            curve = tree.spline(tree.shorten(places, rng, until))
+        nodes = tree.grow(rng, until)
+        if nodes is not None:
+            curve = tree.spline(tree.shorten(nodes, rng, until))
             fault = _fault(curve, body, space, sharpest, follower.longest)
             if not fault:
                 curves.append(curve)
@@ -340,10 +340,10 @@ class _ArcTree:
         first = self._line()
         if not self._is_free(first):
             return None
-        places = np.empty((TREES.max_tries + 1, 3))
+        nodes = np.empty((TREES.max_tries + 1, 3))
         tangents = np.empty((TREES.max_tries + 1, 3))
         parents = [-1]
-        places[0] = first.end
+        nodes[0] = first.end
         tangents[0] = first.end_tangent
         count = 1
         for _ in range(TREES.max_tries):
@@ -352,16 +352,16 @@ class _ArcTree:
             to_goal = rng.random() < TREES.goal_share
             aim = self._goal if to_goal else rng.uniform(self._low, self._high)
             aim = self._start + self._plane.T @ (self._plane @ (aim - self._start))
-            offsets = aim - places[:count]
+            offsets = aim - nodes[:count]
             far = np.maximum((offsets**2).sum(axis=1), 1e-18)
             along = np.einsum("ij,ij->i", offsets, tangents[:count])
             bends = 2.0 * np.sqrt(np.maximum(far - along**2, 0.0)) / far
             behind = np.where(along < 0.0, 2.0, 0.0)
             node = int(np.argmin(np.sqrt(far) * (1.0 + np.maximum(bends / self._bend - 1.0, 0.0) + behind)))
-            arc = self._towards(places[node], tangents[node], aim)
+            arc = self._towards(nodes[node], tangents[node], aim)
             if not self._is_free(arc):
                 continue
-            places[count] = arc.end
+            nodes[count] = arc.end
             tangents[count] = arc.end_tangent
             parents.append(node)
             count += 1
@@ -370,16 +370,16 @@ class _ArcTree:
                 path = [self._goal]
                 at = count - 1
                 while at >= 0:
-                    path.append(places[at])
+                    path.append(nodes[at])
                     at = parents[at]
                 if self._arcs(path[::-1]) is not None:  # otherwise lost to rounding, next to an obstacle
                     return path[::-1]
         return None
 
-    def shorten(self, places: list[Array], rng: np.random.Generator, until: float) -> list[Array]:
+    def shorten(self, nodes: list[Array], rng: np.random.Generator, until: float) -> list[Array]:
         """Remove and move points as long as that shortens the path."""
-        best = places
-        length = self._length(self._arcs(places))
+        best = nodes
+        length = self._length(self._arcs(nodes))
         for _ in range(TREES.max_shortenings):
             if len(best) < 3 or perf_counter() >= until:
                 break
@@ -398,9 +398,9 @@ class _ArcTree:
                 length = tried_length
         return best
 
-    def spline(self, places: list[Array]) -> Curve:
+    def spline(self, nodes: list[Array]) -> Curve:
         """Return the spline with control points at equal distances on the arcs through points."""
-        arcs = self._arcs(places) or []
+        arcs = self._arcs(nodes) or []
         points = [self._start[None]]
         for arc in arcs:
             count = max(int(np.ceil(arc.length / self._spacing)), 2)
@@ -411,10 +411,10 @@ class _ArcTree:
         """Return the initial line of every path, which gives the spline the exact direction."""
         return _Arc(self._start, self._direction, np.zeros(3), 0.0, 2.0 * self._spacing)
 
-    def _arcs(self, places: list[Array]) -> list[_Arc] | None:
+    def _arcs(self, nodes: list[Array]) -> list[_Arc] | None:
         """Return the arcs through points, the first at the end of the line; None if one is not feasible."""
         arcs = [self._line()]
-        for point in places[1:]:
+        for point in nodes[1:]:
             arc = _arc_to(arcs[-1].end, arcs[-1].end_tangent, point, self._bend)
             if arc is None or not self._is_free(arc):
                 return None

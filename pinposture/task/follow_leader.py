@@ -212,13 +212,13 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     # No joint is left that moves the control point of a first module that is the feed alone.
     first = 1 if len(chain.module_starts) > 1 and chain.module_starts[1] == 1 else 0
     body = Arm.from_model(model, arm.control_points[first:])
-    places = neutral_placements(model)
+    placements = neutral_placements(model)
     ends = [*body.chain.origins[1:], body.chain.points[-1]]
     names = []
     for name, begin, end in zip(body.chain.joints, body.chain.origins, ends, strict=True):
         if np.linalg.norm(end - begin) > FEED.min_link_length * body.length:
             joint = model.getJointId(name)
-            there = places[joint].inverse() * pin.SE3(np.eye(3), np.asarray(end))
+            there = placements[joint].inverse() * pin.SE3(np.eye(3), np.asarray(end))
             names.append(f"end of the link after {name}")
             model.addFrame(pin.Frame(names[-1], joint, there, pin.FrameType.OP_FRAME))
     return body, Arm.from_model(model, names)
@@ -1024,20 +1024,20 @@ def _travelled(route: Route, tips: Array, depths: Array) -> Array:
     return np.asarray(parameters)
 
 
-def _distances(route: Route, places: Array, ends: Array) -> Array:
+def _distances(route: Route, points: Array, ends: Array) -> Array:
     """Return distances (N, p) [m] of points (N, p, 3) from the route up to an arc length, (N,) [m]."""
     curve = route.whole
     count = max(int(np.ceil(DEVIATION.samples_per_arm * curve.length / route.fed.length)), 2)
     s = np.linspace(0.0, curve.length, count)
     samples = curve.at(s)
-    flat = places.reshape(-1, 3)
-    limits = np.repeat(ends, places.shape[1])
+    flat = points.reshape(-1, 3)
+    limits = np.repeat(ends, points.shape[1])
     last = np.searchsorted(s, limits, side="right") - 1  # of the samples travelled
     nearest = np.asarray(cKDTree(samples).query(flat)[1])
     for i in np.flatnonzero(nearest > last):
         gaps = samples[: last[i] + 1] - flat[i]
         nearest[i] = int(np.argmin(np.einsum("ij,ij->i", gaps, gaps)))
-    stops = curve.at(ends).repeat(places.shape[1], axis=0)
+    stops = curve.at(ends).repeat(points.shape[1], axis=0)
     distances = np.linalg.norm(flat - samples[nearest], axis=1)
     for other in (nearest - 1, nearest + 1):
         begin = samples[nearest]
@@ -1046,5 +1046,5 @@ def _distances(route: Route, places: Array, ends: Array) -> Array:
         square = np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-300)
         share = np.clip(np.einsum("ij,ij->i", flat - begin, chord) / square, 0.0, 1.0)
         distances = np.minimum(distances, np.linalg.norm(begin + share[:, None] * chord - flat, axis=1))
-    shaped: Array = distances.reshape(places.shape[:2])
+    shaped: Array = distances.reshape(points.shape[:2])
     return shaped

@@ -604,7 +604,7 @@ class _Planner:
                 direction = (1.0 - share) * link + share * np.array(unit_vector("direction", goal.direction))
             try:
                 goal_reached = reach_from(arm, pose, q, scene, self._limits, direction)
-            except PostureError:  # a place on the way, or a direction, that there is not
+            except PostureError:  # a posture on the way, or a direction, that there is not
                 return None
             if goal_reached is None:
                 return None
@@ -735,8 +735,8 @@ class _Planner:
             ceil(ROWS.peak_speed_ratio * travel[-1] / TRANSITION.row_step),
         )
         share = smooth_step(np.linspace(0.0, 1.0, rows + 1))
-        places = np.interp(share * travel[-1], travel, np.arange(len(travel), dtype=np.float64))
-        offsets = np.array([path.smooth_offset(float(s)) for s in places])
+        parameters = np.interp(share * travel[-1], travel, np.arange(len(travel), dtype=np.float64))
+        offsets = np.array([path.smooth_offset(float(s)) for s in parameters])
         held = round(hold / self._dt)
         offsets = np.vstack([offsets, np.repeat(offsets[-1:], held, axis=0)])
         durations = np.append(np.full(rows, duration / rows), np.full(held, self._dt))

@@ -41,7 +41,7 @@ class Way(Protocol):
 
 
 class Waypoint(NamedTuple):
-    """A named place of a reference.
+    """A named row of a reference.
 
     Attributes:
         name: its name.
@@ -229,8 +229,8 @@ def find_crowded(reference: Reference, scene: Scene | None) -> dict[str, Posture
     if scene is None:
         return {}
     titles = [title for title, _ in _titled(reference)]
-    places = dict(zip(titles, posture_feasibility(reference, scene), strict=True))
-    return {where: posture for where, posture in places.items() if posture.crowding(scene.margin)}
+    postures = dict(zip(titles, posture_feasibility(reference, scene), strict=True))
+    return {where: posture for where, posture in postures.items() if posture.crowding(scene.margin)}
 
 
 def require_held_postures(reference: Reference, limits: Limits) -> None:
@@ -258,7 +258,7 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
 
 
 def _named(reference: Reference) -> list[Waypoint]:
-    """Return the named places of the first lap, and the beginning if it has no name."""
+    """Return the named waypoints of the first lap, and the beginning if it has no name."""
     first_lap = {id(waypoint.target): waypoint for waypoint in reversed(reference.waypoints)}
     waypoints = list(first_lap.values())[::-1]
     if not waypoints or waypoints[0].row > 0:
@@ -476,7 +476,7 @@ class PassageSettings(NamedTuple):
     """Largest number of postures on the way whose clearance is computed."""
 
     max_tried_rows: int = 60
-    """Largest number of postures, those that intrude most, for which a place with more room is sought."""
+    """Largest number of postures, those that intrude most, for which one with more room is sought."""
 
     margin_share: float = 0.999
     """Share of the margin that counts as kept."""
@@ -500,7 +500,7 @@ class Gap(NamedTuple):
 
 
 def require_passage(reference: Reference, scene: Scene | None, max_lag: float) -> None:
-    """Refuse a way on which no place near the path is clear; warn of one that intrudes into the margin.
+    """Refuse a way on which no posture near the path is clear; warn of one that intrudes into the margin.
 
     Only ways that the arm has to follow count (`Waypoint.way`).
 

@@ -47,8 +47,8 @@ class RetreatSettings(NamedTuple):
     lengths."""
 
     near: float = 1.0
-    """Largest distance of a control point from its place outside, in module lengths, if an obstacle does not
-    let the arm take the posture outside with the joint that is stuck."""
+    """Largest distance of a control point from where it is outside, in module lengths, if an obstacle does
+    not let the arm take the posture outside with the joint that is stuck."""
 
     rounding: float = 1e-9
     """Missing clearance that is due to rounding, in arm lengths."""

@@ -204,9 +204,9 @@ def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Element]]:
     if arm.urdf is None or "<mesh" not in arm.urdf:
         return
     links = [frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY]
-    places = neutral_placements(arm.model)
+    placements = neutral_placements(arm.model)
     # Fixed links are placed relative to the root link, the first, which is at the base placement.
-    places[0] = arm.base_placement * links[0].placement.inverse()
+    placements[0] = arm.base_placement * links[0].placement.inverse()
     frames = {frame.name: frame for frame in links}
     for link in parse_xml(arm.urdf, "URDF text").iterfind("link"):
         frame = frames.get(link.get("name", ""))
@@ -215,7 +215,7 @@ def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Element]]:
             if mesh is None or mesh.tag != "mesh" or frame is None:
                 continue
             joint = int(frame.parentJoint)
-            yield mesh.get("filename", ""), joint, places[joint] * frame.placement, visual
+            yield mesh.get("filename", ""), joint, placements[joint] * frame.placement, visual
 
 
 def _place_mesh(name: str, mesh: TriangleMesh, pose: pin.SE3, scale: Array, origin: Array) -> TriangleMesh:

@@ -181,10 +181,10 @@ def outline(arm: Arm, target: Target) -> Outline:
     length = target.curve.length
     if target.parameters is None:
         return Outline((curve.at(np.linspace(0.0, length, DRAWING.curve_samples)),), ())
-    places = np.clip(np.append(0.0, target.parameters), 0.0, length)
-    last = float(np.max(places[1:][target.has_target], initial=0.0))
+    parameters = np.clip(np.append(0.0, target.parameters), 0.0, length)
+    last = float(np.max(parameters[1:][target.has_target], initial=0.0))
     end = min(length, last + DRAWING.shown_beyond * arm.length)
-    curve_spans = [(float(places[run].min()), float(places[run].max())) for run in runs]
+    curve_spans = [(float(parameters[run].min()), float(parameters[run].max())) for run in runs]
     # Shorter pieces are invisible and may have no direction.
     count = DRAWING.curve_samples
     return _cut(curve_spans, end, 1e-6 * length, lambda a, b: curve.at(np.linspace(a, b, count)))
@@ -282,14 +282,14 @@ def visual_model(arm: Arm) -> pin.GeometryModel:
         One object for the base and one per joint of the chain, with the shapes and colours of `view`.
     """
     surfaces = arm_surfaces(arm)
-    places = neutral_placements(arm.model)
+    placements = neutral_placements(arm.model)
     model = pin.GeometryModel()
     drawn = [("base", 0, surfaces.base, THEME.base, pin.SE3.Identity())]
     for u, (body, mesh) in enumerate(zip(bodies(arm), surfaces.bodies, strict=True)):
         joint = arm.model.getJointId(body.joint)
         shade = THEME.modules[body.module % len(THEME.modules)]
         # Body frames are aligned with the world at the neutral configuration.
-        placement = pin.SE3(places[joint].rotation.T, np.zeros(3))
+        placement = pin.SE3(placements[joint].rotation.T, np.zeros(3))
         drawn.append((f"body_{u + 1:03d}", joint, mesh, shade, placement))
     for name, joint, mesh, color, placement in drawn:
         geometry = coal.BVHModelOBBRSS()
@@ -664,8 +664,8 @@ def obstacle_tracks(
             motions = moved[obstacle.name]
             since = [motion * motions[0].inverse() for motion in motions]
             turns = same_signs(np.array([pin.SE3ToXYZQUAT(motion)[3:] for motion in since]))
-            places = np.array([motion.translation for motion in since])
-            listed += pose_tracks(obstacle_path(number), shown.key_times, places[kept], turns[kept])
+            positions = np.array([motion.translation for motion in since])
+            listed += pose_tracks(obstacle_path(number), shown.key_times, positions[kept], turns[kept])
     return listed
 
 

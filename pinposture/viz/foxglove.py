@@ -278,12 +278,12 @@ class FoxgloveViewer(Viewer):
         listed = bodies(self.arm)
         surfaces = drawing.arm_surfaces(self.arm)
         joints = [model.getJointId(body.joint) for body in listed]
-        places = neutral_placements(model)
+        placements = neutral_placements(model)
         # The frame of a joint is that of the link after it; a body frame has another orientation.
         frames = [frame for frame in model.frames if frame.type == pin.BODY and frame.placement.isIdentity()]
         names = {int(frame.parentJoint): frame.name for frame in reversed(frames)}
         self._links = [names.get(joint, model.names[joint]) for joint in joints]
-        self._turns = np.array([places[joint].rotation for joint in joints])
+        self._turns = np.array([placements[joint].rotation for joint in joints])
         self._bodies = [
             self._entity("base", self._world, triangles=[self._surface(surfaces.base, THEME.base)])
         ]

@@ -208,9 +208,9 @@ def _frame_space(ax: Any, points: Array) -> None:
         getattr(ax, f"set_{name}lim")(center - size, center + size)
         axis = getattr(ax, f"{name}axis")
         locator = MaxNLocator(max(2, round(7 * size / half.max())), steps=[1, 2, 5, 10])
-        places = locator.tick_values(center - size, center + size)
+        ticks = locator.tick_values(center - size, center + size)
         # No ticks at the corners, where the scales of two axes meet.
-        axis.set_ticks(places[np.abs(places - center) < 0.9 * size])
+        axis.set_ticks(ticks[np.abs(ticks - center) < 0.9 * size])
         axis.pane.set(facecolor="none", edgecolor=THEME.faint)
         axis._axinfo["grid"].update(color=THEME.faint, linewidth=0.6)  # there is no public method
         axis.set_label_text(f"{name} [m]", fontsize=9)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import pinposture as pp
 from pinposture._validation import Vector
 from pinposture.collision import CollisionModel, Obstacle
-from pinposture.collision.distances import PairDistances, Placements
+from pinposture.collision.distances import JointFrames, PairDistances
 from pinposture.collision.obstacles import OBSTACLE_TYPES, displaced, obstacle_from_dict
 from pinposture.collision.shapes import UNTURNED, MeshShape, Point, Size, Turn, number_fields
 from pinposture.editor.obstacles import (
@@ -111,7 +111,7 @@ def distances(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
     probe = pp.Sphere((0.0, 0.0, 0.0), 1e-6).solid()
     others = obstacle.geometry.solids()
     pairs = PairDistances([probe], [0], others, [(0, 1 + k) for k in range(len(others))])
-    places = (Placements(np.eye(3)[None, None], point[None, None]) for point in np.array(points))
+    places = (JointFrames(np.eye(3)[None, None], point[None, None]) for point in np.array(points))
     return np.array([pairs.minimum(place)[0] for place in places]) + 1e-6
 
 

@@ -18,11 +18,11 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.collision import Box, Capsule, CollisionModel, Mesh, Scan, Scene, Sphere
-from pinposture.collision.distances import PairDistances, Placements
+from pinposture.collision.distances import JointFrames, PairDistances
 from pinposture.collision.scene import obstacles_around
 
 BALL = geometry('<sphere radius="0.04"/>', "0.1 0 0.01")
-HERE = Placements(np.eye(3)[None, None], np.zeros((1, 1, 3)))
+HERE = JointFrames(np.eye(3)[None, None], np.zeros((1, 1, 3)))
 
 
 def hulls(folder):

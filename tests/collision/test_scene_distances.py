@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
-from pinposture.collision.distances import Narrow, PairDistances, Placements, TreeKinematics
+from pinposture.collision.distances import JointFrames, Narrow, PairDistances, TreeKinematics
 
 BODIES = {
     '<sphere radius="0.05"/>': Sphere((0.5, 0, 0), 0.05),
@@ -102,7 +102,7 @@ def test_a_mesh_is_its_convex_hull_and_may_be_turned():
         assert by_mesh == pytest.approx(by_box, abs=1e-7)
 
 
-HERE = Placements(np.eye(3)[None, None], np.zeros((1, 1, 3)))
+HERE = JointFrames(np.eye(3)[None, None], np.zeros((1, 1, 3)))
 
 
 def contact(one, other):

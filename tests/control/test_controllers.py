@@ -322,7 +322,7 @@ def test_sections_are_for_planar_arms_of_single_joints_and_unbroken_regions(
             auto, same = (pp.Selection(score=s).step(state, target) for s in ("auto", expected))
             assert auto.active == same.active
             np.testing.assert_array_equal(auto.dq, same.dq)
-    assert pp.Selection() == pp.Selection(score="auto", strides=[3, 2])
+    assert pp.Selection() == pp.Selection(score="auto", section_sizes=[3, 2])
 
 
 def test_selection_says_that_no_section_is_stable(planar: pp.Arm) -> None:
@@ -374,8 +374,8 @@ def test_limits_flag_what_they_did(narrow: pp.Arm) -> None:
         (lambda: pp.Selection(gain=0.0), InvalidValue, "gain"),
         (lambda: pp.Selection(conditioning=float("inf")), InvalidValue, "conditioning"),
         (lambda: pp.Selection(score="errors"), UnknownName, "did you mean 'error'"),
-        (lambda: pp.Selection(strides=(2, 0)), InvalidValue, r"strides is \(2, 0\)"),
-        (lambda: pp.Selection(strides=(2.0,)), InvalidValue, "whole numbers"),
+        (lambda: pp.Selection(section_sizes=(2, 0)), InvalidValue, r"section_sizes is \(2, 0\)"),
+        (lambda: pp.Selection(section_sizes=(2.0,)), InvalidValue, "whole numbers"),
         (lambda: pp.Projection(coupling="half"), UnknownName, "full, local"),
         (lambda: pp.Projection(null_gain=-1.0), InvalidValue, "null_gain"),
         (lambda: pp.Selection(gain=(1.0, 0.0)), InvalidValue, r"gain\[1\]"),

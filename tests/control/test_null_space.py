@@ -119,7 +119,7 @@ def test_mistakes_in_an_objective_of_the_user_name_it(method: type) -> None:
         (lambda: JointSpeeds(damping=-1.0), "damping"),
         (lambda: ObstaclePotential("scene", 0.1), "scene"),
         (lambda: ObstaclePotential(pp.Scene({}), 0.0), "within"),
-        (lambda: Projection(strides=()), "strides"),
+        (lambda: Projection(section_sizes=()), "section_sizes"),
     ],
 )
 def test_bad_parameters_are_named(make: object, message: str) -> None:
@@ -132,7 +132,7 @@ def test_projection_by_sections_moves_the_ends_of_the_best_chain() -> None:
     indices = section_indices(state, (2, 3))
 
     def chains(node: int) -> list[list[int]]:
-        ends = [node + stride for stride in (2, 3) if node + stride <= 11]
+        ends = [node + size for size in (2, 3) if node + size <= 11]
         return [[end, *rest] for end in ends for rest in chains(end)] if ends else [[]]
 
     def score(chain: list[int]) -> float:
@@ -142,7 +142,7 @@ def test_projection_by_sections_moves_the_ends_of_the_best_chain() -> None:
     best = [node - 1 for node in max(chains(0), key=score)]
     found = best_chain(arm, state.screws, target.has_target, (2, 3))
     assert np.flatnonzero(found).tolist() == best
-    step = Projection(strides=(2, 3)).step(state, target)
+    step = Projection(section_sizes=(2, 3)).step(state, target)
     assert list(step.active) == best
     assert len(Projection().step(state, target).active) > len(best)
 
@@ -151,12 +151,12 @@ def test_projection_by_sections_moves_a_straight_arm_and_a_region() -> None:
     arm = template_arm("Rz", 11)
     state = arm.at(arm.straight())
     target = case("Rz", 11, 3)[2]
-    step = Projection(strides=(2, 3)).step(state, target)
+    step = Projection(section_sizes=(2, 3)).step(state, target)
     assert len(step.active) == 5
     assert np.abs(step.dq).max() > 0.0
-    ends = Projection(strides=(2, 3)).step(state, target.region(3, 8)).active
+    ends = Projection(section_sizes=(2, 3)).step(state, target.region(3, 8)).active
     assert set(ends) <= set(range(3, 9))
-    single = Projection(strides=(2, 3)).step(state, target.region(0, 0)).active
+    single = Projection(section_sizes=(2, 3)).step(state, target.region(0, 0)).active
     assert single == (0,)
 
 
@@ -164,7 +164,7 @@ def test_as_printed() -> None:
     assert Selection.as_printed().score == "error"
     assert Selection.as_printed(planar=True).score == "thesis"
     assert Projection.as_printed().coupling == "local"
-    assert Switching.as_printed(planar=True).projection.strides == (2, 3)
+    assert Switching.as_printed(planar=True).projection.section_sizes == (2, 3)
     assert Switching.as_printed().hand_back == "when_possible"
     for name, modules, planar in (("RyRz", 8, False), ("Rz", 12, True)):
         arm, state, target = case(name, modules, 4)

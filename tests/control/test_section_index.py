@@ -62,10 +62,10 @@ def test_sections_of_an_arm_are_compared_with_their_own_links() -> None:
         q = arm.random(np.random.default_rng(0))
         raw = arm.at(q).manipulability()
         found = section_indices(arm.at(q), (2, 3))
-        for stride in range(1, 7):
-            for start in range(7 - stride):
-                best = best_index(tuple(lengths[start : start + stride])) if stride in (2, 3) else 1.0
-                end = start + stride
+        for size in range(1, 7):
+            for start in range(7 - size):
+                best = best_index(tuple(lengths[start : start + size])) if size in (2, 3) else 1.0
+                end = start + size
                 assert found[start, end] == pytest.approx(raw[start, end] / best, rel=1e-9)
 
 

@@ -15,7 +15,7 @@ from pinposture.control import SectionTree, section_indices
 from pinposture.errors import InvalidValue
 
 SCORES = ("thesis", "geometric")
-STRIDES = [(2, 3), (2,), (3,), (1, 2), (2, 3, 5)]
+SIZES = [(2, 3), (2,), (3,), (1, 2), (2, 3, 5)]
 
 
 def scored(tree: SectionTree, branch: tuple[int, ...], score: str) -> tuple[float, tuple[int, ...]]:
@@ -78,38 +78,36 @@ def test_the_best_branch_is_the_best_of_all_on_real_postures(
     st.sampled_from([0.0, 0.3, 0.9]),
     st.sampled_from([0.3, 0.8, 1.0]),
     regions,
-    st.sampled_from(STRIDES),
+    st.sampled_from(SIZES),
 )
 @examples(40)
 def test_the_same_on_arbitrary_indices(
-    m: int, seed: int, threshold: float, share: float, region: list[int], strides: tuple[int, ...]
+    m: int, seed: int, threshold: float, share: float, region: list[int], sizes: tuple[int, ...]
 ) -> None:
     rng = np.random.default_rng(seed)
     first, last = (min(k, m - 1) for k in region)
-    if strides == (1, 2):
+    if sizes == (1, 2):
         last = min(last, first + 9)  # their branches are many
     indices = np.triu(rng.uniform(0, 1, (m + 1, m + 1)), 1)
-    compare_with_all_branches(SectionTree(indices, rng.random(m) < share, threshold, first, last, strides))
+    compare_with_all_branches(SectionTree(indices, rng.random(m) < share, threshold, first, last, sizes))
 
 
-def ones(m: int, first: int, last: int, strides: tuple[int, ...] = (2, 3)) -> SectionTree:
-    return SectionTree(np.triu(np.ones((m + 1, m + 1)), 1), np.ones(m, dtype=bool), 0.5, first, last, strides)
+def ones(m: int, first: int, last: int, sizes: tuple[int, ...] = (2, 3)) -> SectionTree:
+    return SectionTree(np.triu(np.ones((m + 1, m + 1)), 1), np.ones(m, dtype=bool), 0.5, first, last, sizes)
 
 
-@pytest.mark.parametrize("strides", STRIDES)
+@pytest.mark.parametrize("sizes", SIZES)
 @pytest.mark.parametrize(("first", "last"), [(0, 8), (2, 8), (3, 3), (0, 0), (4, 5), (0, 2)])
-def test_branches_are_all_chains_that_cannot_be_longer(
-    first: int, last: int, strides: tuple[int, ...]
-) -> None:
-    tree = ones(9, first, last, strides)
+def test_branches_are_all_chains_that_cannot_be_longer(first: int, last: int, sizes: tuple[int, ...]) -> None:
+    tree = ones(9, first, last, sizes)
     root = 0 if first == 0 else first + 1  # the base, where the region begins with the first point
     inside = range(root + 1, last + 2)
     expected = {
         (root, *rest)
         for size in range(len(inside) + 1)
         for rest in combinations(inside, size)
-        if all(end - start in strides for start, end in pairwise((root, *rest)))
-        and max((root, *rest)) + min(strides) > last + 1
+        if all(end - start in sizes for start, end in pairwise((root, *rest)))
+        and max((root, *rest)) + min(sizes) > last + 1
     }
     found = list(tree.branches())
     assert len(found) == len(set(found))
@@ -175,7 +173,7 @@ def test_merged_sections_keep_the_rank_and_lose_no_singular_value() -> None:
             assert np.linalg.matrix_rank(stacked, tol=1e-6) == 2 * len(points)
             for before, after in pairwise(points):
                 # The shortest stable section into a point, against the whole one from the point before.
-                own = min(stride for stride in (2, 3) if indices[after + 1 - stride, after + 1] > 0.05)
+                own = min(size for size in (2, 3) if indices[after + 1 - size, after + 1] > 0.05)
                 edge = state.task_jacobians[after][:, after + 1 - own : after + 1]
                 whole = state.task_jacobians[after][:, before + 1 : after + 1]
                 least = (np.linalg.svd(part, compute_uv=False)[-1] for part in (edge, whole))
@@ -188,9 +186,9 @@ def test_merged_sections_keep_the_rank_and_lose_no_singular_value() -> None:
     [
         ({"first": 4, "last": 3}, "region"),
         ({"last": 9}, "<= 8"),
-        ({"strides": ()}, "strides"),
-        ({"strides": (0, 2)}, "at least 1"),
-        ({"strides": 2}, "strides"),
+        ({"section_sizes": ()}, "section_sizes"),
+        ({"section_sizes": (0, 2)}, "at least 1"),
+        ({"section_sizes": 2}, "section_sizes"),
         ({"threshold": float("nan")}, "threshold"),
         ({"indices": np.zeros((9, 9))}, r"\(10, 10\)"),
     ],

@@ -9,11 +9,11 @@ import pytest
 
 import pinposture as pp
 from pinposture.motion.latest import Outdated
-from pinposture.ros2.failures import Locked, Outlooks, find_outlook
+from pinposture.ros2.failures import FallbackSearch, Locked, find_fallback
 
 
 @pytest.mark.long
-def test_an_outlook_tells_how_near_the_target_is_and_gives_a_way_out_that_leaves_the_joint_alone() -> None:
+def test_a_fallback_tells_how_near_the_target_is_and_gives_a_way_out_that_leaves_the_joint_alone() -> None:
     arm = pp.Arm.from_template("RyRz", modules=3)
     q = np.full(arm.nv, 0.3)
     rows = np.linspace(0.0, 1.0, 20)[:, None] * q
@@ -23,7 +23,7 @@ def test_an_outlook_tells_how_near_the_target_is_and_gives_a_way_out_that_leaves
     limits = pp.Limits(dt=0.02, velocity=1.0, acceleration=2.0)
     scene = pp.Scene()
     given = Locked(arm, locked, {name: 0.3}, q, target, scene, limits, rows, False)
-    found = find_outlook(given)
+    found = find_fallback(given)
     assert found.way_out is not None and found.reason == ""
     motion = found.way_out
     np.testing.assert_allclose(motion.positions[0], q, atol=1e-9)
@@ -38,12 +38,12 @@ def test_an_outlook_tells_how_near_the_target_is_and_gives_a_way_out_that_leaves
 
     # Where the arm overlaps an obstacle, there is none; and a question may become outdated.
     ball = pp.Scene({"ball": pp.Sphere(tuple(arm.at(q).points[-1]), 0.02)})
-    blocked = find_outlook(given._replace(scene=ball, target=None))
+    blocked = find_fallback(given._replace(scene=ball, target=None))
     assert blocked.error is None and blocked.way_out is None
     assert "no way out was found: at the posture" in str(blocked)
-    outlooks = Outlooks()
-    assert str(outlooks.find(given._replace(leave=True), Event())).startswith("a way out of ")
+    search = FallbackSearch()
+    assert str(search.find(given._replace(leave=True), Event())).startswith("a way out of ")
     outdated = Event()
     outdated.set()
     with pytest.raises(Outdated):
-        outlooks.find(given, outdated)
+        search.find(given, outdated)

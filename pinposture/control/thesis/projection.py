@@ -22,7 +22,7 @@ from pinposture.control.thesis.posture_matrix import (
     gained,
     null_motion,
 )
-from pinposture.control.thesis.sections import best_chain, checked_strides
+from pinposture.control.thesis.sections import best_chain, checked_section_sizes
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
 from pinposture.placement import Target
 
@@ -52,10 +52,10 @@ class Projection:
         gain: share of its projected error that a point covers in one step (K); one number or (m,).
         null_gain: weight of the null-space term of (4.7).
         null_objective: replacement of the null-space descent, as for `Selection`.
-        strides: numbers of modules that a section may have, as for `Selection`: (2, 3) for planar arms of
-            one-joint modules (Section 4.6). The controller moves the ends of the chain of sections with the
-            best geometric mean of indices, and the points between follow in the null space. None: every
-            control point is moved.
+        section_sizes: numbers of modules that a section may have, as for `Selection`: (2, 3) for planar arms
+            of one-joint modules (Section 4.6). The controller moves the ends of the chain of sections with
+            the best geometric mean of indices, and the points between follow in the null space. None:
+            every control point is moved.
     """
 
     threshold: float = 0.2
@@ -64,7 +64,7 @@ class Projection:
     null_gain: float = 0.5
     null_objective: NullObjective | None = None
     name: str = "projection"
-    strides: tuple[int, ...] | None = None
+    section_sizes: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         require_share("threshold", self.threshold)
@@ -72,8 +72,8 @@ class Projection:
         object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("null_gain", self.null_gain, zero=True)
         require_known("coupling", self.coupling, COUPLINGS)
-        if self.strides is not None:
-            object.__setattr__(self, "strides", checked_strides(self.strides))
+        if self.section_sizes is not None:
+            object.__setattr__(self, "section_sizes", checked_section_sizes(self.section_sizes))
 
     @classmethod
     def as_printed(cls, planar: bool = False) -> Projection:
@@ -82,7 +82,7 @@ class Projection:
         The matrix is block diagonal (5.9), without a null-space term. Planar arms of one-joint modules have
         sections of two and three joints.
         """
-        return cls(coupling="local", null_gain=0.0, strides=(2, 3) if planar else None)
+        return cls(coupling="local", null_gain=0.0, section_sizes=(2, 3) if planar else None)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -175,8 +175,8 @@ class Projection:
         The own columns of a section are the same in all couplings, and those of later ones are zero, so the
         matrix is block triangular with full row rank.
         """
-        if self.strides is not None:
-            eligible = best_chain(arm, screws, eligible, self.strides)
+        if self.section_sizes is not None:
+            eligible = best_chain(arm, screws, eligible, self.section_sizes)
         stations = np.flatnonzero(eligible)  # where sections end; modules, if all points have a target
         lengths = _differences(np.cumsum(arm.chain.module_lengths)[stations])
         directions = np.empty((len(stations), 3, 3))

@@ -55,20 +55,20 @@ class SectionEdges(NamedTuple):
     """Sections as edges of the tree, by their number of modules and by the node at which they end.
 
     Attributes:
-        strides: numbers of modules that a section may have, (S,); increasing.
+        section_sizes: numbers of modules that a section may have, (S,); increasing.
         stable: edges that Algorithm 2 keeps, (S, m + 1).
         logs: logarithms of their indices, (S, m + 1).
         usable: which control points may be active, (m,).
     """
 
-    strides: NDArray[np.int64]
+    section_sizes: NDArray[np.int64]
     stable: NDArray[np.bool_]
     logs: Array
     usable: NDArray[np.bool_]
 
     @classmethod
     def of(
-        cls, indices: Array, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
+        cls, indices: Array, usable: NDArray[np.bool_], threshold: float, section_sizes: tuple[int, ...]
     ) -> SectionEdges:
         """Return the edges; those that are unstable or end at points that are not usable are not kept.
 
@@ -76,10 +76,12 @@ class SectionEdges(NamedTuple):
             indices: index of each section, (S, m + 1); zero where there is none.
             usable: which control points may be active, (m,).
             threshold: an edge is unstable unless its index exceeds this.
-            strides: numbers of modules that a section may have; increasing.
+            section_sizes: numbers of modules that a section may have; increasing.
         """
         stable = (indices > threshold) & np.append(False, usable)
-        return cls(np.array(strides, dtype=np.int64), stable, np.log(np.where(stable, indices, 1.0)), usable)
+        return cls(
+            np.array(section_sizes, dtype=np.int64), stable, np.log(np.where(stable, indices, 1.0)), usable
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,7 @@ class SectionTree:
         threshold: an edge is unstable unless its index exceeds this.
         first: first control point of the region, 0-based.
         last: last control point of the region, 0-based.
-        strides: numbers of modules that a section may have.
+        section_sizes: numbers of modules that a section may have.
     """
 
     indices: Array
@@ -102,7 +104,7 @@ class SectionTree:
     threshold: float
     first: int
     last: int
-    strides: tuple[int, ...] = (2, 3)
+    section_sizes: tuple[int, ...] = (2, 3)
 
     def __post_init__(self) -> None:
         m = len(self.usable)
@@ -112,7 +114,7 @@ class SectionTree:
             raise InvalidValue("region", (self.first, self.last), f"0 <= first <= last <= {m - 1}")
         if not self.threshold >= 0.0:
             raise InvalidValue("threshold", self.threshold, "a number >= 0")
-        object.__setattr__(self, "strides", checked_strides(self.strides))
+        object.__setattr__(self, "section_sizes", checked_section_sizes(self.section_sizes))
 
     @property
     def root(self) -> int:
@@ -134,7 +136,7 @@ class SectionTree:
         begun: list[tuple[int, ...]] = [(self.root,)]
         while begun:
             branch = begun.pop()
-            ends = [branch[-1] + stride for stride in self.strides if branch[-1] + stride <= self.leaf]
+            ends = [branch[-1] + size for size in self.section_sizes if branch[-1] + size <= self.leaf]
             if not ends:
                 yield branch
             begun.extend((*branch, end) for end in reversed(ends))
@@ -158,10 +160,10 @@ class SectionTree:
 
     def best(self, score: SectionScore) -> SectionSet:
         """Return the set with the largest score over all branches; see `best_branch`."""
-        indices = np.zeros((len(self.strides), len(self.indices)))
-        for row, stride in zip(indices, self.strides, strict=True):
-            row[stride:] = np.diagonal(self.indices, stride)
-        edges = SectionEdges.of(indices, self.usable, self.threshold, self.strides)
+        indices = np.zeros((len(self.section_sizes), len(self.indices)))
+        for row, size in zip(indices, self.section_sizes, strict=True):
+            row[size:] = np.diagonal(self.indices, size)
+        edges = SectionEdges.of(indices, self.usable, self.threshold, self.section_sizes)
         return best_branch(edges, self.first, self.last, score)
 
     @cached_property
@@ -199,11 +201,13 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
     leaf = last + 1
     path = np.empty(last + 2, dtype=np.int64)
     root_counts = root > 0 and bool(edges.usable[root - 1])
-    bonus = np.log(np.arange((leaf - root) // int(edges.strides[0]) + 2) + 1.0)
+    bonus = np.log(np.arange((leaf - root) // int(edges.section_sizes[0]) + 2) + 1.0)
     if not root_counts:
         bonus[0] = -np.inf
     mean = score == "geometric"
-    left, found = kernels.best_branch(root, leaf, edges.strides, edges.stable, edges.logs, bonus, mean, path)
+    left, found = kernels.best_branch(
+        root, leaf, edges.section_sizes, edges.stable, edges.logs, bonus, mean, path
+    )
     if found == -np.inf:
         return EMPTY_SET
     points = [root - 1] * root_counts + (path[:left][::-1] - 1).tolist()
@@ -215,7 +219,7 @@ LEAST_INDEX = 1e-6
 
 
 def best_chain(
-    arm: Arm, screws: Screws, eligible: NDArray[np.bool_], strides: tuple[int, ...]
+    arm: Arm, screws: Screws, eligible: NDArray[np.bool_], section_sizes: tuple[int, ...]
 ) -> NDArray[np.bool_]:
     """Choose the ends of the chain of sections with the best geometric mean of indices, without pruning.
 
@@ -223,7 +227,7 @@ def best_chain(
         arm: the arm.
         screws: the screws of its joints.
         eligible: which control points have a target, (m,).
-        strides: numbers of modules that a section may have; increasing.
+        section_sizes: numbers of modules that a section may have; increasing.
 
     Returns:
         Which control points are ends of sections, (m,); the last eligible one if no section fits.
@@ -232,8 +236,8 @@ def best_chain(
     region = np.flatnonzero(eligible)
     if not len(region):
         return chosen
-    edges = section_edges(arm, screws, eligible, LEAST_INDEX, strides)
-    fits = np.arange(len(eligible) + 1) >= np.array(strides)[:, None]
+    edges = section_edges(arm, screws, eligible, LEAST_INDEX, section_sizes)
+    fits = np.arange(len(eligible) + 1) >= np.array(section_sizes)[:, None]
     logs = np.where(edges.stable, edges.logs, np.log(LEAST_INDEX))
     edges = edges._replace(stable=fits & np.append(False, eligible), logs=logs)
     points = best_branch(edges, int(region[0]), int(region[-1]), "geometric").points
@@ -245,17 +249,17 @@ def _root(first: int) -> int:
     return 0 if first == 0 else first + 1
 
 
-def checked_strides(strides: Sequence[int]) -> tuple[int, ...]:
-    """Return strides sorted; raise InvalidValue unless they are one or more whole numbers of at least 1."""
+def checked_section_sizes(section_sizes: Sequence[int]) -> tuple[int, ...]:
+    """Return the sizes sorted; raise InvalidValue unless they are one or more whole numbers of at least 1."""
     allowed = "one or more whole numbers of at least 1"
     try:
-        listed = tuple(strides)
+        listed = tuple(section_sizes)
     except TypeError:
-        raise InvalidValue("strides", strides, allowed) from None
-    whole = all(isinstance(stride, int | np.integer) and not isinstance(stride, bool) for stride in listed)
+        raise InvalidValue("section_sizes", section_sizes, allowed) from None
+    whole = all(isinstance(size, int | np.integer) and not isinstance(size, bool) for size in listed)
     if not listed or not whole or min(listed) < 1:
-        raise InvalidValue("strides", strides, allowed)
-    return tuple(sorted({int(stride) for stride in listed}))
+        raise InvalidValue("section_sizes", section_sizes, allowed)
+    return tuple(sorted({int(size) for size in listed}))
 
 
 def _scores(edges: NDArray[np.intp], logs: Array, score: SectionScore) -> Array:
@@ -330,7 +334,7 @@ def _planar_index(lengths: tuple[float, float, float], middle: Array, last: Arra
     return np.asarray(np.sqrt(np.maximum(trace - spread, 0.0) / np.maximum(trace + spread, 1e-300)))
 
 
-def section_indices(state: ArmState, strides: tuple[int, ...]) -> Array:
+def section_indices(state: ArmState, section_sizes: tuple[int, ...]) -> Array:
     """Return the manipulability indices of sections, relative to the best that each can have.
 
     The best is known for planar sections of two or three revolute joints. Indices of longer sections, of
@@ -338,21 +342,21 @@ def section_indices(state: ArmState, strides: tuple[int, ...]) -> Array:
 
     Args:
         state: the state of the arm.
-        strides: numbers of modules that a section may have.
+        section_sizes: numbers of modules that a section may have.
 
     Returns:
         Array (m + 1, m + 1) like that of `ArmState.manipulability`, in [0, 1], with the entries for these
         numbers of modules normalised.
     """
     indices = np.array(state.manipulability())
-    for stride, best in zip(strides, _best_indices(state.arm.chain, strides), strict=True):
-        starts = np.arange(len(indices) - stride)
-        indices[starts, starts + stride] /= best[stride:]
+    for size, best in zip(section_sizes, _best_indices(state.arm.chain, section_sizes), strict=True):
+        starts = np.arange(len(indices) - size)
+        indices[starts, starts + size] /= best[size:]
     return np.minimum(indices, 1.0)
 
 
 def section_edges(
-    arm: Arm, screws: Screws, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
+    arm: Arm, screws: Screws, usable: NDArray[np.bool_], threshold: float, section_sizes: tuple[int, ...]
 ) -> SectionEdges:
     """Return the edges of the tree of sections, with indices as in `section_indices`.
 
@@ -361,29 +365,29 @@ def section_edges(
         screws: the screws of its joints.
         usable: which control points may be active, (m,).
         threshold: an edge is unstable unless its index exceeds this.
-        strides: numbers of modules that a section may have; increasing.
+        section_sizes: numbers of modules that a section may have; increasing.
     """
-    indices = np.zeros((len(strides), arm.n_modules + 1))
-    wanted = np.array(strides, dtype=np.int64)
-    kernels.stride_indices(screws, arm.kinematics.task_constants.plane, wanted, indices)
+    indices = np.zeros((len(section_sizes), arm.n_modules + 1))
+    sizes = np.array(section_sizes, dtype=np.int64)
+    kernels.section_indices_by_size(screws, arm.kinematics.task_constants.plane, sizes, indices)
     return SectionEdges.of(
-        np.minimum(indices / _best_indices(arm.chain, strides), 1.0), usable, threshold, strides
+        np.minimum(indices / _best_indices(arm.chain, section_sizes), 1.0), usable, threshold, section_sizes
     )
 
 
 @lru_cache(maxsize=64)
-def _best_indices(chain: Chain, strides: tuple[int, ...]) -> Array:
+def _best_indices(chain: Chain, section_sizes: tuple[int, ...]) -> Array:
     """Return the best index of the section of each number of modules that ends at each node, (S, m + 1)."""
     m = len(chain.points)
-    best = np.ones((len(strides), m + 1))
+    best = np.ones((len(section_sizes), m + 1))
     if len(chain.plane) == 2:
-        for row, stride in zip(best, strides, strict=True):
-            for start in range(m + 1 - stride):
-                lengths = _section_lengths(chain, start, start + stride)
+        for row, size in zip(best, section_sizes, strict=True):
+            for start in range(m + 1 - size):
+                lengths = _section_lengths(chain, start, start + size)
                 if 2 <= len(lengths) <= 3:
                     found = best_index(lengths)
                     # below, the section counts as always singular
-                    row[start + stride] = found if found > 1e-3 else 1.0
+                    row[start + size] = found if found > 1e-3 else 1.0
     return best
 
 

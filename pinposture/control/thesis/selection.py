@@ -23,7 +23,7 @@ from pinposture.control.thesis.posture_matrix import (
     gained,
     null_motion,
 )
-from pinposture.control.thesis.sections import SectionScore, best_branch, checked_strides, section_edges
+from pinposture.control.thesis.sections import SectionScore, best_branch, checked_section_sizes, section_edges
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, Rows, Screws
 from pinposture.placement import Target
@@ -159,8 +159,8 @@ class Selection:
               targets, otherwise "error". The planar arm of the thesis ends equally close with both, but the
               posture error rises on 5 % of the steps to random postures with "geometric", and on 25 % with
               "error", which alternates between points.
-        strides: numbers of modules that a section of the tree may have; ignored with "error". Modules of two
-            joints need (1,).
+        section_sizes: numbers of modules that a section of the tree may have; ignored with "error". Modules
+            of two joints need (1,).
     """
 
     absolute: float = 0.001
@@ -170,7 +170,7 @@ class Selection:
     null_gain: float = 0.5
     null_objective: NullObjective | None = None
     score: Literal["auto", "error", "geometric", "thesis"] = "auto"
-    strides: tuple[int, ...] = (2, 3)
+    section_sizes: tuple[int, ...] = (2, 3)
     name: str = "selection"
 
     def __post_init__(self) -> None:
@@ -180,7 +180,7 @@ class Selection:
         require_positive("conditioning", self.conditioning)
         require_positive("null_gain", self.null_gain, zero=True)
         require_known("score", self.score, ("auto", "error", "geometric", "thesis"))
-        object.__setattr__(self, "strides", checked_strides(self.strides))
+        object.__setattr__(self, "section_sizes", checked_section_sizes(self.section_sizes))
 
     @classmethod
     def as_printed(cls, planar: bool = False) -> Selection:
@@ -231,7 +231,7 @@ class Selection:
         score = self._section_score(arm, region)
         if score is None or not len(region):
             return best_set(arm, screws, usable, distances, self.relative)
-        edges = section_edges(arm, screws, usable, self.relative, self.strides)
+        edges = section_edges(arm, screws, usable, self.relative, self.section_sizes)
         points = best_branch(edges, int(region[0]), int(region[-1]), score).points
         return np.array(points, dtype=np.int64)
 
@@ -257,7 +257,7 @@ class Selection:
             return f"no control point keeps the smallest singular value of its own Jacobian above {kept}"
         best = float(np.max(base, where=placed, initial=0.0))
         if best > self.absolute:
-            modules = " or ".join(map(str, self.strides))
+            modules = " or ".join(map(str, self.section_sizes))
             return (
                 f"no section of {modules} modules to a control point with a target is stable: none has more "
                 f"than relative = {self.relative:g} of its best index; the posture is singular or nearly so, "
