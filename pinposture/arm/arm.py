@@ -37,7 +37,7 @@ from pinposture.arm.configurations import (
     plausible_positions,
 )
 from pinposture.arm.couplings import Coupling, Drive, DrivenJoints, joint_axes, read_couplings
-from pinposture.arm.dynamics import Dynamics
+from pinposture.arm.dynamics import Dynamics, curvature, settle, spring_root, weakest_joint
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
@@ -64,7 +64,6 @@ from pinposture.arm.manipulability import (
     section_bases,
     section_ellipsoid,
 )
-from pinposture.arm.sag import curvature, settle, spring_root, weakest_joint
 from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.serialization import ModelData
 from pinposture.arm.specification import ArmSpec, PoseSpec

@@ -23,11 +23,17 @@ from pinposture.arm.couplings import (
     limit_leaders,
     with_couplings,
 )
-from pinposture.arm.description import Description, leading_joint, read_description
+from pinposture.arm.description import (
+    Description,
+    leading_joint,
+    read_description,
+    soft_limit_warnings,
+    soft_limited,
+    with_soft_limits,
+)
 from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.model_builder import build_model
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
-from pinposture.arm.soft_limits import soft_limit_warnings, soft_limited, with_soft_limits
 from pinposture.arm.sources import Source, find_urdf
 from pinposture.arm.specification import ArmSpec, Split
 from pinposture.arm.urdf import CHAIN_JOINTS, JointDescription, is_urdf_text, quote_joints, quote_names

@@ -24,9 +24,9 @@ from pinposture._validation import (
 )
 from pinposture.arm import Arm
 from pinposture.collision.bodies import bodies_of
-from pinposture.collision.cells import Cells
 from pinposture.collision.distances import TreeKinematics
 from pinposture.collision.model import CollisionObjects, stationary_ends
+from pinposture.collision.scan import Cells
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import OccupancyGrid
 from pinposture.kernels.occupancy import OCCUPANCY

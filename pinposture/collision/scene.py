@@ -26,9 +26,9 @@ from pinposture._validation import (
     require_positive,
     set_fields,
 )
-from pinposture.collision.cells import Cells
 from pinposture.collision.distances import JointFrames, PairDistances
 from pinposture.collision.obstacles import Obstacle, ObstacleField, displaced
+from pinposture.collision.scan import Cells
 from pinposture.collision.shapes import UNTURNED, Point, Size, Sphere, Turn
 from pinposture.document import Document, plain_data
 from pinposture.errors import InvalidValue, warn_caller

@@ -1,9 +1,8 @@
 """How the arm moves: limits, the planner and its controller, the methods of the thesis, and tasks."""
 
 from pinposture.control.constraint import Constraint
-from pinposture.control.controller import Controller, Memory, Step
+from pinposture.control.controller import Controller, JointInterpolation, Memory, Step
 from pinposture.control.hold import Hold, Support, assess_hold, assess_support
-from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBounds
 from pinposture.control.planner.follow import GeodesicMemory, PathProgress, follow
 from pinposture.control.planner.geodesic import Geodesic

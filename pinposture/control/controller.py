@@ -1,4 +1,4 @@
-"""The controller protocol: its arguments, the step it returns, and its memory between steps."""
+"""The controller protocol: arguments, the step returned, the memory between steps; and the simplest one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pinposture._validation import LARGEST_COORDINATE, is_whole, require_instance
 from pinposture.arm import ArmState
-from pinposture.control.limits import LimitedStep, Limits
+from pinposture.control.limits import LimitedStep, Limits, require_limits
 from pinposture.errors import ControllerError, InvalidValue, PostureError
 from pinposture.placement import Target
 from pinposture.placement.target import check_numbers
@@ -334,3 +334,33 @@ def _is_mask(value: object, nv: int) -> bool:
 
 def _invalid(name: str, field: str, value: object, allowed: str) -> InvalidValue:
     return InvalidValue(f"{name}.step(...).{field}", value, allowed)
+
+
+@dataclass(frozen=True)
+class JointInterpolation:
+    """Moves all joints along a straight line in joint space to the configuration of the target.
+
+    It arrives exactly, in few steps and without a Jacobian, but ignores the motion of the control points:
+    they sweep wide, and the posture error can grow before it falls.
+    """
+
+    name: str = "joint"
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`.
+
+        Raises:
+            InvalidValue: the target has no known configuration.
+        """
+        if target.q is None:
+            allowed = "a target with a known configuration, as `resolve_targets` returns it"
+            raise InvalidValue("target.q", None, allowed)
+        limits = require_limits(limits)
+        target.check(state.arm)
+        way = state.arm.difference(state.q, state.arm.nearest_turns(target.q, state.q))
+        previous = memory.dq if memory is not None else None
+        # Joints off the chain stay.
+        limited = limits.apply(state, way * state.arm.moved, previous)
+        return step_within(limited, np.flatnonzero(target.has_target).tolist())

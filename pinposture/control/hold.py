@@ -18,9 +18,8 @@ from scipy.optimize import linprog
 from pinposture._validation import length, require_instance, require_known, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
-from pinposture.collision.bodies import scene_at
+from pinposture.collision.bodies import scene_at, solid_inertia
 from pinposture.collision.solids import z_along
-from pinposture.collision.weighing import solid_inertia
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]

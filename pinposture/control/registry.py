@@ -9,8 +9,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import cast
 
-from pinposture.control.controller import Controller
-from pinposture.control.joint_interpolation import JointInterpolation
+from pinposture.control.controller import Controller, JointInterpolation
 from pinposture.control.planner.geodesic import Geodesic
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection

@@ -17,7 +17,7 @@ from pinposture.arm.arm import check_range
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control import Controller, Geodesic, Limits, controller_named
-from pinposture.control.joint_interpolation import JointInterpolation
+from pinposture.control.controller import JointInterpolation
 from pinposture.control.limits import require_limits
 from pinposture.control.torque_limits import find_overload, require_held
 from pinposture.motion.arrival import ARRIVAL

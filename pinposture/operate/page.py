@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
-from pinposture.collision.cells import Cells
 from pinposture.collision.model import describe_distance
+from pinposture.collision.scan import Cells
 from pinposture.control.reach import room_to_limits
 from pinposture.editor.ui.arm import ArmDrawing
 from pinposture.editor.ui.page import (

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.collision import Scene
-from pinposture.collision.cells import Cells
 from pinposture.collision.mapping import SEEN
+from pinposture.collision.scan import Cells
 from pinposture.errors import FileError, PostureError
 from pinposture.motion.ros import NANOSECONDS, world_frame
 from pinposture.operate.control import DIRECTIONS, Control

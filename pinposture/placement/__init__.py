@@ -6,8 +6,14 @@ from pinposture.arm.module_kinematics import (
     register_module_kinematics,
     unregister_module_kinematics,
 )
-from pinposture.placement.constant_curvature import ConstantCurvature
-from pinposture.placement.module_kinematics import Circle, NumericModule, RollPitch, Torus, curve_crossings
+from pinposture.placement.module_kinematics import (
+    Circle,
+    ConstantCurvature,
+    NumericModule,
+    RollPitch,
+    Torus,
+    curve_crossings,
+)
 from pinposture.placement.points import PointFilter, fit_points
 from pinposture.placement.resolve import resolve_targets
 from pinposture.placement.target import Target

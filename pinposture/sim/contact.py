@@ -30,10 +30,10 @@ from pinposture._validation import (
 from pinposture.arm import Arm
 from pinposture.arm.mjcf import load_mujoco
 from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.bodies import solid_inertia
 from pinposture.collision.model import Pair
 from pinposture.collision.shapes import Described
 from pinposture.collision.solids import Solid
-from pinposture.collision.weighing import solid_inertia
 from pinposture.errors import InvalidValue
 from pinposture.schema import CheckedBy, Declared, Duration, declared
 

@@ -14,8 +14,8 @@ pytest.importorskip("mcap", reason="mcap is not installed")
 from operate.test_operation import Desk, bent_arm
 
 import pinposture as pp
-from pinposture.collision.cells import Cells
 from pinposture.collision.mapping import SEEN
+from pinposture.collision.scan import Cells
 from pinposture.errors import FileError
 from pinposture.operate.record import Recorder, Replay, read_recording
 
