@@ -131,6 +131,11 @@ class ShorteningSettings(NamedTuple):
     """For how many waypoints on each side it is halved. `make study STUDY=repair` tells whether the
     curve is clear, and how long the paths are."""
 
+    rejoining_nodes: int = 600
+    """Largest number of tree nodes of the last attempt to rejoin a path. Of ten paths into machines that a
+    ball cut (`make study STUDY=repair`), seven are repaired with 600 and with 2,000, five with 150; with 600
+    the others fail in a third of the time."""
+
     rejoined_from: tuple[float, ...] = (0.0, 0.05)
     """How far before and behind what is in the way of a path a tree search joins it again, in shares of
     the path. Of 24 paths that a ball cut, the search joined eight with the first, four more with the
@@ -249,19 +254,23 @@ class PathSearch:
         Args:
             path: offsets from the start to the goal, (N + 1, nv), not all clear.
         """
+        path = divide(path, self._units)
         last = len(path) - 1
         begin = self._clear_pieces(path)
         end = last - self._clear_pieces(path[::-1])
-        for share in SHORTENING.rejoined_from:
-            apart = int(share * last)
-            first = max(begin - apart, 0)
-            second = min(end + apart, last)
+        parts = [
+            (max(begin - int(share * last), 0), min(end + int(share * last), last))
+            for share in SHORTENING.rejoined_from
+        ]
+        for first, second in dict.fromkeys(parts):
+            if (first, second) == (0, last):  # as below
+                break
             joined = self._connect(path[first], path[second], TREES.join_nodes)
             if joined is not None:
                 part = self.shorten(FoundPath(joined, TREE_SEARCH)).offsets
                 whole = np.concatenate([path[:first], part, path[second + 1 :]])
                 return FoundPath(self._smoothed(whole), TREE_SEARCH)
-        raw = self.connect() or self.withdraw()
+        raw = self.connect() or self.withdraw(most=SHORTENING.rejoining_nodes)
         if raw is None:
             return None
         return FoundPath(self._smoothed(self.shorten(raw).offsets), raw.found_by)
@@ -328,17 +337,24 @@ class PathSearch:
 
     # Withdrawal.
 
-    def withdraw(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
-        """Return a path between ends that are withdrawn until they can be joined; None if that fails."""
+    def withdraw(
+        self, tell: Callable[[str], None] = lambda _: None, most: int = TREES.nodes
+    ) -> FoundPath | None:
+        """Return a path between ends that are withdrawn until they can be joined; None if that fails.
+
+        Args:
+            tell: called with what is done.
+            most: largest number of nodes of the attempt to join ends that can withdraw no further.
+        """
         ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, self._end)]
         nodes = TREES.join_nodes
         while perf_counter() < self.until:
             trapped = [end for end, is_trapped in zip(ends, self._trapped, strict=True) if is_trapped]
             moved = any([end.go_on(WITHDRAWING.join_every) for end in trapped])
             if not moved and not any([end.go_on(WITHDRAWING.join_every) for end in ends]):
-                if nodes == TREES.nodes:
+                if nodes == most:
                     break
-                nodes = TREES.nodes  # neither end can withdraw further: search longer
+                nodes = most  # neither end can withdraw further: search longer
             depths = " and ".join(f"{100.0 * end.depth:.0f} %" for end in ends)
             tell(f"tree search after withdrawing start and goal by {depths} of the arm length")
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)

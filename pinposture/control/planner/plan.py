@@ -27,7 +27,9 @@ from pinposture.control.planner.damped_least_squares import (
     DESCENT,
     LeastSquaresResult,
     PlanningProblem,
+    UnhinderedFit,
     minimize,
+    minimize_unhindered_first,
 )
 from pinposture.control.planner.objective import OBJECTIVE, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
@@ -369,7 +371,8 @@ def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath
     """Return the rest of a path, where what is in the way now is bypassed; None if no such path is found.
 
     It is found in a seventh of the time of `find_path`, and not relaxed, so that it may be twice as long. A
-    search disregards tasks, so there is none with tasks.
+    search disregards tasks, so there is none with tasks. If its end is no longer allowed, another goal is
+    searched from there, and the rest is bent to it.
 
     Args:
         problem: what is planned.
@@ -378,9 +381,16 @@ def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath
         attempt: number of abandoned paths. The rest itself, if it is clear, is returned to the first only.
     """
     objective, state, _, avoidance = problem
-    goal = state.moved(rest[-1])
-    if avoidance is None or objective.tasks or not avoidance.allows(goal):
+    if avoidance is None or objective.tasks:
         return None
+    goal = state.moved(rest[-1])
+    is_allowed = avoidance.allows(goal)
+    if not is_allowed:
+        goal = find_goal(problem, OBJECTIVE.goal_tolerance * objective.arm.length, goal).state
+        if not avoidance.allows(goal):
+            return None
+        change = objective.arm.difference(state.q, goal.q) - rest[-1]
+        rest = rest + np.linspace(0.0, 1.0, len(rest))[:, None] * change
     possible = _possible_clearance(avoidance, state, goal)
     search = PathSearch(
         problem._replace(avoidance=avoidance.tolerating(state, goal)), goal, possible, attempt
@@ -388,7 +398,7 @@ def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath
     if not search.is_clear(rest):
         rejoined = search.rejoin(rest)
     else:
-        rejoined = FoundPath(rest, RELAXATION) if attempt == 1 else None
+        rejoined = FoundPath(rest, RELAXATION) if attempt == 1 or not is_allowed else None
     if rejoined is None:
         return None
     scene = avoidance.clearance.scene
@@ -415,7 +425,8 @@ def find_goal(
     configurations from a fixed seed. Those are also tried if the configuration of the target collides or
     misses a task with priority. The current state comes second where the points leave modules only a few
     solutions: the search takes the nearest ones, as least squares do, in far less time. The search ends at
-    the first result that is good enough, or when several consecutive ones agree, and returns the best.
+    the first result that is good enough, or when several consecutive ones agree, and returns the best. Among
+    obstacles alone, each search begins with a fit that disregards them.
 
     Args:
         problem: what is planned.
@@ -433,7 +444,14 @@ def find_goal(
     # An arm that violates the margin at the start may do so at the goal by as much.
     allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(problem, held, before)
-    best = latest = minimize(problem, next(starts), good, allowed)
+    fits: list[UnhinderedFit] = []
+
+    def search(start: ChainState) -> LeastSquaresResult:
+        if avoidance is None or objective.tasks or avoidance.constrained:
+            return minimize(problem, start, good, allowed)
+        return minimize_unhindered_first(problem, start, good, allowed, fits)
+
+    best = latest = search(next(starts))
     good_enough = max(good, enough)
     agreeing = 1
     while agreeing < PLAN.agreeing and not (
@@ -445,7 +463,7 @@ def find_goal(
         start = next(starts, None)  # lazily, as computing one can take long
         if start is None:
             break
-        latest = minimize(problem, start, good, allowed)
+        latest = search(start)
         alike = latest.intrusion == best.intrusion == 0.0 and not objective.tasks
         agreeing = agreeing + 1 if alike and abs(latest.cost - best.cost) <= PLAN.same_cost * best.cost else 1
         if (latest.intrusion, latest.cost) < (best.intrusion, better * best.cost):

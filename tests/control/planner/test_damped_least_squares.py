@@ -11,6 +11,8 @@ from scipy.optimize import least_squares, nnls
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.collision import CollisionModel
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import (
     PlanningProblem,
     StepConstraints,
@@ -63,6 +65,42 @@ def unreachable(arm: pp.Arm, seed: int) -> pp.Target:
     points = arm.at(rng.uniform(*edges_of(arm))).points * rng.uniform(0.7, 1.4)
     shift = rng.normal(size=(arm.n_modules, arm.dimension)) * 0.15 * arm.length / arm.n_modules
     return pp.Target.from_points(arm, points + shift @ arm.plane)
+
+
+def among(objective: Objective, ball: pp.Sphere) -> PlanningProblem:
+    """The search for a goal beside a ball, from the straight arm."""
+    arm = objective.arm
+    scene = pp.Scene({"ball": ball}, self_collision=False, margin=0.01)
+    avoidance = Avoidance(CollisionModel(arm, scene), objective, pp.Limits().for_arm(arm))
+    return PlanningProblem(objective, arm.chain_at(arm.straight()), edges_of(arm), avoidance)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ball_beside_the_best_posture_leaves_the_goal_where_it_is(seed: int) -> None:
+    arm = arm_named("spatial")
+    objective = Objective(arm, unreachable(arm, seed))
+    alone = PlanningProblem(objective, arm.chain_at(arm.straight()), edges_of(arm))
+    best = find_goal(alone, GOOD).state
+    tip = best.points[-1]
+    onward = (tip - best.points[-2]) / np.linalg.norm(tip - best.points[-2])
+    beside = among(objective, pp.Sphere(tuple(tip + 0.12 * onward), 0.05))
+    assert beside.avoidance.allows(best)
+    np.testing.assert_allclose(find_goal(beside, GOOD).state.q, best.q, atol=1e-3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ball_on_the_best_posture_moves_the_goal_about_as_little_as_six_searches_do(seed: int) -> None:
+    arm = arm_named("spatial")
+    objective = Objective(arm, unreachable(arm, seed))
+    alone = PlanningProblem(objective, arm.chain_at(arm.straight()), edges_of(arm))
+    tip = find_goal(alone, GOOD).state.points[-1]
+    problem = among(objective, pp.Sphere(tuple(tip), 0.04))
+    found = find_goal(problem, GOOD)
+    assert found.intrusion == 0.0 and problem.avoidance.allows(found.state)
+    rng = np.random.default_rng(seed)
+    others = [minimize(problem, arm.chain_at(rng.uniform(*edges_of(arm))), GOOD) for _ in range(6)]
+    assert found.cost <= 1.2 * min(other.cost for other in others if other.intrusion == 0.0)
 
 
 @pytest.mark.long
