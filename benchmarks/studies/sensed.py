@@ -1,7 +1,7 @@
 """What other sensors than encoders are worth to a driver on ROS 2, on an arm that sags behind its encoders.
 
     python -m benchmarks.studies.sensed                  # 10 postures for each row, some minutes
-    python -m benchmarks.studies.sensed --postures 3
+    python -m benchmarks.studies.sensed --postures 3 --latency 0.04
 
 A simulated robot of 8 modules (16 joints, 0.4 m) on soft servos (4 Hz) and a driver, with 50 cycles per
 second, are two nodes of this process. The encoders are on the motors and have 1 mrad of noise; "two thirds"
@@ -110,10 +110,11 @@ class Pair:
 
     Args:
         row: what the robot has, and the driver takes.
+        latency: by how much messages of sensors come late [s].
         stack: closes what is opened here.
     """
 
-    def __init__(self, row: Row, stack: ExitStack) -> None:
+    def __init__(self, row: Row, latency: float, stack: ExitStack) -> None:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.parameter import Parameter
 
@@ -129,7 +130,7 @@ class Pair:
         for timer in node.timers:
             timer.cancel()
         missing = ",".join(ARM.drives.names[1::3]) if row.every_third else ""
-        node.set_parameters([Parameter("missing", value=missing)])
+        node.set_parameters([Parameter("missing", value=missing), Parameter("latency", value=latency)])
         other = stack.enter_context(open_node("pinposture", ["--ros-args", "-p", "use_sim_time:=true"]))
         self.driver = Driver(other, ARM, DriverSettings(rate=RATE, sensing=row.sensing), limits=LIMITS)
         stack.callback(self.driver.close)
@@ -168,14 +169,14 @@ class Pair:
         return np.asarray(ARM.chain_at(q).points[-1])
 
 
-def measure(row: Row, postures: int) -> Errors:
+def measure(row: Row, postures: int, latency: float = 0.0) -> Errors:
     """Drive a robot from posture to posture."""
     rng = np.random.default_rng(0)
     believed: list[float] = []
     missed: list[float] = []
     arrived = 0
     with ExitStack() as stack:
-        pair = Pair(row, stack)
+        pair = Pair(row, latency, stack)
         driver = pair.driver
         while driver.status == "holding" and driver.reason != "no target":
             pair.cycle()
@@ -199,6 +200,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--postures", type=int, default=10)
+    parser.add_argument("--latency", type=float, default=0.0, help="by how much sensors come late [s]")
     given = parser.parse_args()
     os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(DOMAIN)}
     print(
@@ -206,7 +208,7 @@ def main() -> None:
     )
     print("|---" * 6 + "|")
     for name, row in ROWS.items():
-        found = measure(row, given.postures)
+        found = measure(row, given.postures, given.latency)
         numbers = [
             1e3 * float(np.quantile(distances, share))
             for distances in (found.believed, found.missed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from math import inf, nan
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -18,7 +18,7 @@ from pinposture.motion import ShapeEstimator
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.motion.shape_estimator import SIDES, SMALLEST_NOISE
 from pinposture.ros2.clouds import CloudFrames
-from pinposture.ros2.joint_readings import JointMeasurement, JointReadings, fault_of_stamp
+from pinposture.ros2.joint_readings import JointMeasurement, JointReading, JointReadings, fault_of_stamp
 from pinposture.schema import CheckedBy, Declared, Flag, Length, Text, declared, one_of, quantity
 from pinposture.units import length_text
 
@@ -122,8 +122,8 @@ class ShapeReadings:
     """Estimates the configuration of an arm from the messages of all its sensors.
 
     It stands in place of `JointReadings` where some joints have no encoder, or give way behind it. Call
-    `estimate` once in each cycle; every message counts once, as if it was measured then. What it is told
-    last, of the latest age, is what `measurement` returns.
+    `estimate` once in each cycle; every message counts once, moved on by what was commanded since its stamp.
+    What it is told last, of the latest age, is what `measurement` returns.
 
     Attributes:
         sensing: what the sensors are.
@@ -167,7 +167,7 @@ class ShapeReadings:
         self._tip: pin.SE3 | None = None
         self._faults: dict[str, str] = {}  # why the last message is refused, by sensor
         self._outliers: dict[str, int] = {}  # when a reading was last left out as an outlier, by sensor [ns]
-        self._commanded: Array | None = None
+        self._commands: deque[tuple[int, Array]] = deque()  # when drives were to be where, [ns] and (nv,)
         self._begun = 0  # when the first reading came [ns]
         self._used = 0  # the stamp of the latest reading that was used [ns]
         self._deviations = np.full(self._arm.n_modules, inf)
@@ -270,19 +270,15 @@ class ShapeReadings:
         Args:
             now: the time [ns].
             dt: the time since the last cycle [s].
-            commanded: what was sent to the drives last, in the order of `Arm.drives`, (nv,) [rad or m]; None:
-                nothing.
+            commanded: where the drives are to be now, in the order of `Arm.drives`, (nv,) [rad or m]; None:
+                nothing was sent.
         """
         joints = self._joints.recent(now)
         if self._estimator is None:
             self._begin(now, {name: reading.position for name, reading in joints.items()})
             return
-        change = None
-        if commanded is not None and self._commanded is not None:
-            change = self._arm.drives.joint_velocities(commanded - self._commanded)
-        self._commanded = None if commanded is None else commanded.copy()
         estimator = self._estimator
-        estimator.predict(dt, change)
+        estimator.predict(dt, self._command(now, commanded))
         fresh = {
             name: reading
             for name, reading in joints.items()
@@ -290,14 +286,62 @@ class ShapeReadings:
         }
         self._stamps |= {_encoder(name): reading.stamp for name, reading in fresh.items()}
         if fresh:
-            self._add_encoders(estimator, {name: reading.position for name, reading in fresh.items()}, now)
+            self._add_encoders(estimator, self._moved_on(fresh), now)
         self._add_turns(estimator, now)
         if self._tip is not None:
             sensing = self.sensing
-            used = estimator.add_placement(self._tip, sensing.tip_noise, sensing.tip_turn_noise)
+            turn, shift = self._motion_since(self._stamps[TIP], estimator.q)
+            tip = self._tip * pin.SE3(turn[-1], shift[-1])
+            used = estimator.add_placement(tip, sensing.tip_noise, sensing.tip_turn_noise)
             self._judge({TIP: bool(used.all())}, now)
             self._tip = None
         self._deviations = estimator.point_deviations
+
+    def _command(self, now: int, commanded: Array | None) -> Array | None:
+        """Note where drives are to be at a time [ns]; return how far joints were to move since the last."""
+        commands = self._commands
+        if commanded is None:
+            commands.clear()
+            return None
+        commands.append((now, commanded.copy()))
+        while len(commands) > 2 and commands[1][0] < now - self.max_age * NANOSECONDS:
+            commands.popleft()
+        if len(commands) < 2:
+            return None
+        return np.asarray(self._arm.drives.joint_velocities(commanded - commands[-2][1]))
+
+    def _commanded_since(self, stamp: int) -> Array:
+        """Return how far drives were to move from a time on [ns] until now, (nv,) [rad or m]."""
+        commands = self._commands
+        if not commands or stamp >= commands[-1][0]:
+            return np.zeros(self._arm.nv)
+        later = next(k for k, (at, _) in enumerate(commands) if at > stamp)
+        if later == 0:
+            return commands[-1][1] - commands[0][1]
+        (before, start), (after, end) = commands[later - 1], commands[later]
+        then = start + (stamp - before) / (after - before) * (end - start)
+        return np.asarray(commands[-1][1] - then)
+
+    def _moved_on(self, readings: dict[str, JointReading]) -> dict[str, float]:
+        """Return where encoders would be read now, by the names of the joints."""
+        columns = {name: column for column, name in enumerate(self._arm.drives.names)}
+        moved = {stamp: self._commanded_since(stamp) for stamp in {each.stamp for each in readings.values()}}
+        return {
+            name: reading.position + float(moved[reading.stamp][columns[name]])
+            for name, reading in readings.items()
+        }
+
+    def _motion_since(self, stamp: int, q: Array) -> tuple[Array, Array]:
+        """Return how control points were to move from a time on [ns] to a configuration now, (nq,).
+
+        Returns:
+            Their turns, (m, 3, 3), and shifts, (m, 3) [m], in their frames at that time.
+        """
+        arm = self._arm
+        now = arm.chain_at(q)
+        then = now.moved(-arm.drives.joint_velocities(self._commanded_since(stamp)))
+        back = np.swapaxes(then.rotations, 1, 2)
+        return back @ now.rotations, (back @ (now.points - then.points)[..., None])[..., 0]
 
     def _begin(self, now: int, positions: dict[str, float]) -> None:
         """Begin with the joints whose positions are known, by name, after some time for their messages."""
@@ -334,10 +378,15 @@ class ShapeReadings:
         for (level, noise), links in alike.items():
             turns = [self._turns[link] for link in links]
             points = [turn.point for turn in turns]
+            stamps = [self._stamps[f"imu {link!r}"] for link in links]
+            since = {stamp: self._motion_since(stamp, estimator.q)[0] for stamp in set(stamps)}
+            moved = [since[stamp][point] for stamp, point in zip(stamps, points, strict=True)]
             if level:
-                used = estimator.add_tilts([turn.up for turn in turns], noise, points)
+                ups = [turned.T @ turn.up for turned, turn in zip(moved, turns, strict=True)]
+                used = estimator.add_tilts(ups, noise, points)
             else:
-                used = estimator.add_orientations([turn.rotation for turn in turns], noise, points)
+                rotations = [turn.rotation @ turned for turned, turn in zip(moved, turns, strict=True)]
+                used = estimator.add_orientations(rotations, noise, points)
             self._judge({f"imu {link!r}": bool(well) for link, well in zip(links, used, strict=True)}, now)
         self._turns = {}
 
