@@ -114,6 +114,11 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
+def install(extra: str) -> str:
+    """Return the command that installs what an optional part of the library needs."""
+    return f"pip install 'pinposture[{extra}]'"
+
+
 def enumerated(items: Iterable[str], most: int = 6, between: str = ", ") -> str:
     """Return the first items of a list for a message, and the number of the others."""
     listed = list(items)

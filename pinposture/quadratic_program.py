@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import daqp
@@ -30,11 +31,16 @@ class RowProgramSettings(NamedTuple):
 ROW_PROGRAM = RowProgramSettings()
 
 
-SOLVED = 1
-SOLVED_SOFTLY = 2
-HARD = 0
-EQUAL = 5
-SOFT = 8
+SOLVED = (1, 2)
+"""What the solver returns with a solution: all rows are kept, or soft ones are violated."""
+
+
+class RowKind(IntEnum):
+    """Kinds of rows, as the solver numbers them."""
+
+    HARD = 0
+    EQUAL = 5
+    SOFT = 8
 
 
 class ConstraintRows(NamedTuple):
@@ -107,7 +113,9 @@ def solve(
     def attempt(hessian: Array, gradient: Array, least: Array, soft: bool) -> Array | None:
         size = max(float(np.trace(hessian)) / n, 1e-300)
         counts = [n, len(strict.least), len(least), len(equations[1])]
-        kinds = np.repeat([HARD, HARD, SOFT if soft else HARD, EQUAL], counts)
+        kinds = np.repeat(
+            [RowKind.HARD, RowKind.HARD, RowKind.SOFT if soft else RowKind.HARD, RowKind.EQUAL], counts
+        )
         x, _, flag, _ = daqp.solve(
             np.ascontiguousarray(hessian / size),
             gradient / size,
@@ -119,7 +127,7 @@ def solve(
             eq_reduction=-1,
             rho_soft=ROW_PROGRAM.softness,
         )
-        return x if flag in (SOLVED, SOLVED_SOFTLY) and np.all(np.isfinite(x)) else None
+        return x if flag in SOLVED and np.all(np.isfinite(x)) else None
 
     x = attempt(hessian, gradient, least, soft=False)
     softened = False

@@ -111,7 +111,7 @@ def with_daqp(p: Program, last: Array | None) -> Array | None:
         "primal_start": last,
     }
     x, _, flag, _ = daqp.solve(p.H, p.g, p.M, p.high, p.low, None, **options)
-    return x if flag == quadratic_program.SOLVED else None
+    return x if flag in quadratic_program.SOLVED else None
 
 
 def with_proxqp(p: Program, last: Array | None) -> Array | None:

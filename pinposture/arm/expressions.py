@@ -34,13 +34,16 @@ class ExpressionBounds(NamedTuple):
     work: int = 20_000_000
     """Most items that all expressions of a file may touch: some ten seconds."""
 
+    step: int = 20
+    """Work of a check, or of a round of a comprehension, which takes as long as twenty items."""
+
+    argument: int = 1000
+    """Largest number that combinatorial functions take."""
+
 
 BOUNDS = ExpressionBounds()
 
 
-_STEP = 20  # work of a check, or of a round of a comprehension, which takes as long as twenty items
-_WIDEST = re.compile(r"\d{4}")  # widths and precisions of numbers in text, of 1,000 and more
-_CONVERSION = re.compile(r"%(?:\([^)]*\))?[^a-zA-Z%]*")
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "Add": operator.add,
     "BitAnd": operator.and_,
@@ -62,7 +65,6 @@ _UNBOUNDED = ("expandtabs", "format_map", "to_bytes", "translate")
 """Their methods whose results may be of any size, whatever they are called with."""
 _BOUNDED = ("comb", "factorial", "load_yaml", "perm", "prod", "range", "round", "sum", "tokenize", "vars")
 """Functions that are called after a look at their arguments."""
-_LARGEST_ARGUMENT = 1000
 
 
 class OutOfBounds(PostureError):
@@ -93,7 +95,7 @@ class Expressions:
             URDFError: it is too long, takes too long, grows too large, or calls what it may not.
         """
         with self.naming(expression):
-            self.spend(_STEP + len(expression))
+            self.spend(BOUNDS.step + len(expression))
             if len(expression) > BOUNDS.characters:
                 raise OutOfBounds(f"has {len(expression)} characters; allowed: {BOUNDS.characters}")
             names["__builtins__"] = {}
@@ -118,7 +120,7 @@ class Expressions:
         """Return a value, having counted its items; raise OutOfBounds if there are too many."""
         size = _size(value)
         _require_items(size)
-        self.spend(_STEP + size)
+        self.spend(BOUNDS.step + size)
         return value
 
     def operate(self, symbol: str, left: Any, right: Any) -> Any:
@@ -132,7 +134,7 @@ class Expressions:
                 _require_items(_size(sequence) * max(times, 0))
         elif symbol == "Mod" and isinstance(left, (str, bytes)):
             text = left if isinstance(left, str) else left.decode("latin-1")
-            for conversion in _CONVERSION.findall(text):
+            for conversion in re.findall(r"%(?:\([^)]*\))?[^a-zA-Z%]*", text):
                 _require_narrow(conversion)
                 if "*" in conversion:
                     raise OutOfBounds("formats with a width that is computed; write it down")
@@ -189,8 +191,8 @@ class Expressions:
         numbers = [abs(each) for each in arguments if isinstance(each, int)]
         if name == "round":
             numbers = numbers[1:]
-        if name in ("comb", "factorial", "perm", "round") and max(numbers, default=0) > _LARGEST_ARGUMENT:
-            raise OutOfBounds(f"calls {name} with numbers above {_LARGEST_ARGUMENT}")
+        if name in ("comb", "factorial", "perm", "round") and max(numbers, default=0) > BOUNDS.argument:
+            raise OutOfBounds(f"calls {name} with numbers above {BOUNDS.argument}")
         if name == "sum":
             start = arguments[1] if len(arguments) > 1 else 0
             return reduce(partial(self.operate, "Add"), self._listed(arguments[0]), start)
@@ -228,12 +230,12 @@ class Expressions:
             return value
         listed = []
         for each in value:
-            self.spend(_STEP)
+            self.spend(BOUNDS.step)
             listed.append(each)
         return listed
 
     def _step(self) -> bool:
-        self.spend(_STEP)
+        self.spend(BOUNDS.step)
         return True
 
 
@@ -297,7 +299,7 @@ def _require_bits(symbol: str, left: int, right: int) -> None:
 
 
 def _require_narrow(style: str) -> None:
-    if _WIDEST.search(style):
+    if re.search(r"\d{4}", style):  # widths and precisions of 1,000 and more
         raise OutOfBounds("formats with a width or precision above 999")
 
 
@@ -318,7 +320,7 @@ class _Format(Formatter):
         return found
 
     def format_field(self, value: Any, format_spec: str) -> Any:
-        self._expressions.spend(_STEP)
+        self._expressions.spend(BOUNDS.step)
         return self._expressions.formatted(value, format_spec, -1)
 
 

@@ -10,11 +10,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Solid ball at the joint that replaces a moving link without mass [kg], [m].
-DEFAULT_MASS = 1e-3
-DEFAULT_RADIUS = 1e-2
-MIN_RADIUS = 1e-4  # moments of inertia are at least those of a ball of the same mass with this radius [m]
-INERTIA_ROUNDING = 1e-3  # relative violation of physical consistency that is corrected without a warning
+
+class InertiaSettings(NamedTuple):
+    """What stands for masses and moments of inertia that no solid has."""
+
+    ball_mass: float = 1e-3
+    """Mass of the solid ball at the joint that replaces a moving link without mass [kg]."""
+
+    ball_radius: float = 1e-2
+    """Its radius [m]."""
+
+    least_radius: float = 1e-4
+    """Moments of inertia are at least those of a ball of the same mass with this radius [m]."""
+
+    rounding: float = 1e-3
+    """Relative violation of physical consistency that is corrected without a warning."""
+
+
+INERTIA = InertiaSettings()
 
 
 class RigidBody(NamedTuple):
@@ -52,14 +65,14 @@ def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:
     semidefinite: then no principal moment exceeds the sum of the other two.
     """
     if body.mass <= 0.0:
-        ball = 0.4 * DEFAULT_MASS * DEFAULT_RADIUS**2 * np.eye(3)
-        return RigidBody(DEFAULT_MASS, np.zeros(3), ball), "no mass"
+        ball = 0.4 * INERTIA.ball_mass * INERTIA.ball_radius**2 * np.eye(3)
+        return RigidBody(INERTIA.ball_mass, np.zeros(3), ball), "no mass"
     moments, axes = np.linalg.eigh(np.trace(body.inertia) / 2.0 * np.eye(3) - body.inertia)
     # A moment below 1e-12 of the largest could become negative due to rounding error.
-    least = max(body.mass * MIN_RADIUS**2 / 5.0, 1e-12 * float(moments[2]))
+    least = max(body.mass * INERTIA.least_radius**2 / 5.0, 1e-12 * float(moments[2]))
     if moments[0] >= least:
         return body, ""
     second = axes * np.maximum(moments, least) @ axes.T
-    rounded = moments[0] >= -INERTIA_ROUNDING * moments[2] and moments[1] > least
+    rounded = moments[0] >= -INERTIA.rounding * moments[2] and moments[1] > least
     inertia = np.trace(second) * np.eye(3) - second
     return RigidBody(body.mass, body.center, inertia), "" if rounded else "unphysical moments of inertia"

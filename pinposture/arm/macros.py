@@ -16,13 +16,11 @@ from pinposture._validation import is_number, require_known
 from pinposture.arm.expressions import Expressions
 from pinposture.arm.packages import find_packages, package_folders, package_name
 from pinposture.arm.urdf import is_urdf_text, parse_xml
-from pinposture.errors import FileError, InvalidValue, PostureError, URDFError
+from pinposture.errors import FileError, InvalidValue, PostureError, URDFError, install
 from pinposture.storage import read_xml
 
 logger = logging.getLogger(__name__)
 
-EXTRA = "pip install 'pinposture[descriptions]'"
-"""How to install support for xacro and for descriptions by name."""
 
 MACROS = "http://www.ros.org/wiki/xacro"
 """The namespace of xacro."""
@@ -134,7 +132,7 @@ def expand_macros(
     try:
         import xacro
     except ImportError:
-        raise FileError(label, f"cannot be expanded without xacro: {EXTRA}") from None
+        raise FileError(label, f"cannot be expanded without xacro: {install('descriptions')}") from None
     try:
         with _LOCK, _adapted(xacro, known, folders):
             xacro.init_stacks(None if path is None else str(path))

@@ -40,14 +40,12 @@ from pinposture.arm.urdf import (
     write_joint,
     write_shape,
 )
-from pinposture.errors import FileError, PostureError, URDFError
+from pinposture.errors import FileError, PostureError, URDFError, install
 from pinposture.storage import read_xml
 from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
-COMMAND = "pip install 'pinposture[sim]'"
-"""How to install MuJoCo."""
 SAMPLES = 10
 """Configurations at which the kinematics is compared with MuJoCo's."""
 
@@ -66,7 +64,7 @@ class MujocoMissing(PostureError, ImportError):
 
     def __init__(self, purpose: str, reason: str) -> None:
         self.reason = reason
-        super().__init__(f"{purpose} needs MuJoCo ({reason}); install it with: {COMMAND}")
+        super().__init__(f"{purpose} needs MuJoCo ({reason}); install it with: {install('sim')}")
 
 
 def load_mujoco(purpose: str = "physics") -> Any:

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import pinocchio as pin
 
-from pinposture.arm.macros import EXTRA, MACROS, expand_macros, one_line, read_arguments
+from pinposture.arm.macros import MACROS, expand_macros, one_line, read_arguments
 from pinposture.arm.mjcf import is_mjcf, mjcf_to_urdf
 from pinposture.arm.model_builder import model_to_urdf
 from pinposture.arm.packages import is_file
 from pinposture.arm.urdf import URDF_TEXT, is_urdf_text
-from pinposture.errors import FileError, InvalidValue
+from pinposture.errors import FileError, InvalidValue, install
 from pinposture.storage import read_xml
 
 
@@ -100,7 +100,7 @@ def _find_by_name(name: str, searched: Sequence[Path], arguments: Mapping[str, s
     try:
         import_module("robot_descriptions")
     except ImportError:
-        advice = f"to use names from robot_descriptions: {EXTRA}"
+        advice = f"to use names from robot_descriptions: {install('descriptions')}"
         raise FileError(name, f"no such file; {advice}") from None
     try:
         module = import_module(f"robot_descriptions.{name}")

@@ -188,17 +188,14 @@ def warnings_as_notes() -> Iterator[None]:
         yield
 
 
-LONGEST_LINE = 1000
-"""Most characters of a message; files of anything else than expected may be quoted in it."""
-
-
 def _print_line(label: str, style: str, text: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
     line = " ".join(part.strip() for part in text.splitlines())
     line = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in line)
-    line = line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
+    longest = 1000  # files of anything else than expected may be quoted
+    line = line if len(line) <= longest else f"{line[:longest]} ..."
     Console(stderr=True).print(Text.assemble((label, style), line), soft_wrap=True)
 
 

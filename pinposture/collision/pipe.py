@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture import _validation
 from pinposture._validation import length, require_instance, require_whole
-from pinposture.collision.scene import Scene
+from pinposture.collision.scene import USUAL_MARGIN, Scene
 from pinposture.collision.shapes import Box
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
@@ -40,10 +40,6 @@ class PipeSettings(NamedTuple):
 
 
 PIPE = PipeSettings()
-
-
-PIPE_MARGIN = 0.005
-"""Default distance that the arm keeps from the walls [m]."""
 
 
 class Bend(NamedTuple):
@@ -109,7 +105,7 @@ def pipe(
     radius: float,
     sides: int = 6,
     thickness: float = 0.005,
-    margin: float = PIPE_MARGIN,
+    margin: float = USUAL_MARGIN,
     self_collision: bool = True,
     arm_radius: float | None = None,
 ) -> Scene:

@@ -44,6 +44,25 @@ from pinposture.units import CONVERGED, ROUNDING
 
 Array = NDArray[np.float64]
 
+
+class CycleSettings(NamedTuple):
+    """Control cycles of tasks, and how many are looked at."""
+
+    default: float = 0.02
+    """Default duration of a cycle [s]."""
+
+    longest: float = 60.0
+    """Its longest duration [s]."""
+
+    most_stopping: int = 5000
+    """Largest number of braking steps that are computed."""
+
+    most_averaged: int = 10_000
+    """Largest number of cycles over which steps are averaged."""
+
+
+CYCLES = CycleSettings()
+
 USUAL_STEP = 0.1
 """Upper bound of the joint travel that a step counts as, whatever the limits allow [rad]."""
 
@@ -237,9 +256,6 @@ def _per_joint(name: str, value: float | Array, arm: Arm) -> Array:
 # Then no joint changes by more than its A, and none brakes harder than in full braking. A joint that would
 # exceed g(L) or g(U) is held there, as far as its A allows.
 
-MAX_STOPPING_STEPS = 5000
-"""Largest number of braking steps that are computed."""
-
 
 def farthest(room: Array, brake: Array) -> Array:
     """Return the largest step towards a position from which a joint can still stop there, g(r) above.
@@ -279,7 +295,7 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
         np.array(dq, dtype=np.float64),
         np.array(bound, dtype=np.float64),
         np.array(brake, dtype=np.float64),
-        MAX_STOPPING_STEPS,
+        CYCLES.most_stopping,
     )
 
 
@@ -462,12 +478,6 @@ def _read_effort(value: Any, info: ValidationInfo) -> bool | float | Array:
 
 _Limit = Annotated[float | Array, read_by(_read_limit)]
 
-DEFAULT_CYCLE = 0.02
-"""Default duration of a control cycle of a task [s]."""
-
-LONGEST_CYCLE = 60.0
-"""Longest control cycle of a task [s]."""
-
 
 @declared(eq=False)
 class Limits(Declared):
@@ -524,8 +534,8 @@ class Limits(Declared):
     @classmethod
     def from_table(cls, values: Mapping[str, Any], source: InputFile) -> dict[str, Any]:
         """Return the values of fields; a file without `step` does not limit it."""
-        cycle_time = values.get("cycle", DEFAULT_CYCLE)
-        cycle = read_within("cycle", read_bounded, cycle_time, ("time",), 0.0, None, LONGEST_CYCLE)
+        cycle_time = values.get("cycle", CYCLES.default)
+        cycle = read_within("cycle", read_bounded, cycle_time, ("time",), 0.0, None, CYCLES.longest)
         rest = {key: value for key, value in values.items() if key != "cycle"}
         return {"step": None, **rest, "dt": cycle} if "step" not in rest else {**rest, "dt": cycle}
 
@@ -674,9 +684,6 @@ class Limits(Declared):
 # 2 sqrt(D / a) + 2 a / j, which is least for a = (D j^2 / 4)^(1/3).
 # (Moving averages for smooth motions: Biagiotti and Melchiorri, Control Engineering Practice 20, 2012.)
 
-MAX_JERK_CYCLES = 10_000
-"""Largest number of cycles over which steps are averaged."""
-
 MAX_CORNER_CUT = 0.005
 """Largest deviation of a joint from its path due to a jerk limit, in `Arm.joint_units`."""
 
@@ -709,7 +716,7 @@ class JerkFilter:
         active: whether steps are changed: there is a limit of jerk that the others do not keep anyway.
 
     Raises:
-        InvalidValue: a jerk limit that needs an average over more than `MAX_JERK_CYCLES` steps.
+        InvalidValue: a jerk limit that needs an average over more than `CYCLES.most_averaged` steps.
     """
 
     def __init__(self, arm: Arm, limits: Limits) -> None:
@@ -717,8 +724,8 @@ class JerkFilter:
         cycles = 1.0
         if bounds.brake is not None and bounds.jerk is not None:
             cycles = _filter_cycles(arm, bounds.brake, bounds.jerk)
-        if not cycles <= MAX_JERK_CYCLES:
-            allowed = f"more; it averages steps over {cycles:.4g} cycles, {MAX_JERK_CYCLES} at most"
+        if not cycles <= CYCLES.most_averaged:
+            allowed = f"more; it averages steps over {cycles:.4g} cycles, {CYCLES.most_averaged} at most"
             raise InvalidValue("jerk", limits.jerk, allowed)
         self.cycles = max(int(cycles), 1)
         self.active = self.cycles > 1

@@ -16,9 +16,9 @@ def __getattr__(name: str) -> Any:
     try:
         import viser  # noqa: F401
     except ImportError as error:
-        from pinposture.errors import ViewerError
+        from pinposture.errors import ViewerError, install
 
-        advice = "pip install 'pinposture[editor]'"
+        advice = install("editor")
         raise ViewerError("viser", f"is needed for the editor: {advice} ({error})") from error
     from pinposture.editor.editor import Editor
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_known
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.control.limits import DEFAULT_CYCLE
+from pinposture.control.limits import CYCLES
 from pinposture.curve import Curve
 from pinposture.editor.edits import SHAPE, Shape, joints_at, keyframes_of
 from pinposture.editor.phases import editable
@@ -443,7 +443,7 @@ def first_task(arm: Arm, name: str = "") -> Task:
         ends = (Keyframe(curve.curve, placement="as_is", trim=True) for curve in (straight, bent))
     first, last = ends
     keyframes = (replace(first, name="straight"), replace(last, name="bent", time=FIRST_TASK.bent_time))
-    limits = Limits(step=None, dt=DEFAULT_CYCLE, acceleration=FIRST_TASK.acceleration)
+    limits = Limits(step=None, dt=CYCLES.default, acceleration=FIRST_TASK.acceleration)
     return Task(arm=arm, motion=keyframes, limits=limits, name=name)
 
 

@@ -6,6 +6,7 @@ The model is fitted to logs, of one joint or several, with intervals by leaving 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -290,12 +291,14 @@ class DriveFitSettings(NamedTuple):
 DRIVE_FIT = DriveFitSettings()
 
 
-LAG = 0
-DELAY = 1
-FRICTION = 2
-COMPLIANCE = 3
-CARRIED = 4
-"""Indices of the parameters: the last is compliance times payload."""
+class Parameter(IntEnum):
+    """Indices of the parameters; the last is compliance times payload."""
+
+    LAG = 0
+    DELAY = 1
+    FRICTION = 2
+    COMPLIANCE = 3
+    CARRIED = 4
 
 
 class Series(NamedTuple):
@@ -328,12 +331,12 @@ class Series(NamedTuple):
     def predict(self, parameters: Array) -> Array:
         """Return where the drive moves the joint from its first position on, (m,) [rad or m]."""
         shift = np.zeros(len(self.times))
-        if len(parameters) > COMPLIANCE:
-            shift = -parameters[COMPLIANCE] * self.torques[0]
-        if len(parameters) > CARRIED:
-            shift -= parameters[CARRIED] * self.torques[1]
+        if len(parameters) > Parameter.COMPLIANCE:
+            shift = -parameters[Parameter.COMPLIANCE] * self.torques[0]
+        if len(parameters) > Parameter.CARRIED:
+            shift -= parameters[Parameter.CARRIED] * self.torques[1]
         predicted = np.array(self.positions)
-        drive = np.ascontiguousarray(parameters[: FRICTION + 1])
+        drive = np.ascontiguousarray(parameters[: Parameter.FRICTION + 1])
         kernels.follow_commands(self.sent_at, self.sent, self.times, shift, drive, predicted)
         return predicted
 
@@ -357,13 +360,15 @@ class Fit(NamedTuple):
 
     def parameter(self, index: int) -> tuple[float, float, float]:
         """Return value, lower and upper end of a parameter."""
-        widening = self.widening if index >= COMPLIANCE else 1.0
+        widening = self.widening if index >= Parameter.COMPLIANCE else 1.0
         return jackknife(float(self.values[index]), self.left_out[:, index], widening)
 
     def payload(self) -> tuple[float, float, float]:
         """Return value, lower and upper end of the payload [kg], of a fit with one."""
-        value = float(self.values[CARRIED] / self.values[COMPLIANCE])
-        return jackknife(value, self.left_out[:, CARRIED] / self.left_out[:, COMPLIANCE], self.widening)
+        value = float(self.values[Parameter.CARRIED] / self.values[Parameter.COMPLIANCE])
+        return jackknife(
+            value, self.left_out[:, Parameter.CARRIED] / self.left_out[:, Parameter.COMPLIANCE], self.widening
+        )
 
 
 def jackknife(value: float, left_out: Array, widening: float = 1.0) -> tuple[float, float, float]:
@@ -382,7 +387,7 @@ def fit_drives(series: Sequence[Series], loads: int = 0, free: Sequence[int] = (
         loads: 0 without loads, 1 with the compliance, 2 also with a payload.
         free: indices of the parameters that are fitted; the others are zero. Empty: all.
     """
-    problem = _Problem(series, loads, tuple(free) or tuple(range(COMPLIANCE + loads)))
+    problem = _Problem(series, loads, tuple(free) or tuple(range(Parameter.COMPLIANCE + loads)))
     fits = [problem.solve(problem.begin(start)) for start in DRIVE_FIT.first_guesses]
     best = min(fits, key=lambda fit: fit[1])[0]
     segments = np.unique(np.concatenate([part.segments for part in series]))
@@ -428,7 +433,7 @@ class _Problem:
     def __init__(self, series: Sequence[Series], loads: int, free: tuple[int, ...]) -> None:
         self._series = series
         self._free = np.array(free)
-        self._size = COMPLIANCE + loads
+        self._size = Parameter.COMPLIANCE + loads
         self._segments = np.concatenate([part.segments for part in series])
         self._measured = np.concatenate([part.positions for part in series])
         span = max(float(np.ptp(part.sent)) for part in series)
@@ -452,7 +457,11 @@ class _Problem:
     def begin(self, start: Sequence[float]) -> Array:
         """Return parameters from which a fit begins."""
         begun = np.zeros(self._size)
-        begun[: FRICTION + 1] = (start[LAG], start[DELAY], start[FRICTION] * self._span)
+        begun[: Parameter.FRICTION + 1] = (
+            start[Parameter.LAG],
+            start[Parameter.DELAY],
+            start[Parameter.FRICTION] * self._span,
+        )
         begun[np.setdiff1d(np.arange(self._size), self._free)] = 0.0
         return begun
 

@@ -13,13 +13,10 @@ from pinposture._validation import LARGEST_NUMBER, require_instance
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue, PostureError, enumerated
 from pinposture.motion.drive_response import (
-    COMPLIANCE,
-    DELAY,
     DRIVE_FIT,
-    FRICTION,
-    LAG,
     DriveModel,
     Fit,
+    Parameter,
     Series,
     explained_share,
     fit_drives,
@@ -733,9 +730,9 @@ def _judge(fit: Fit, span: float) -> tuple[DriveEstimate, dict[str, str]]:
         span: range of the motion [rad or m].
     """
     reasons: dict[str, str] = {}
-    lag = Estimate(*fit.parameter(LAG))
-    delay = Estimate(*fit.parameter(DELAY))
-    friction = Estimate(*fit.parameter(FRICTION))
+    lag = Estimate(*fit.parameter(Parameter.LAG))
+    delay = Estimate(*fit.parameter(Parameter.DELAY))
+    friction = Estimate(*fit.parameter(Parameter.FRICTION))
     known = {"lag": _clipped(lag), "delay": _clipped(delay), "friction": _clipped(friction)}
     if fit.explained < IDENTIFICATION.least_explained:
         why = f"the model explains {max(fit.explained, 0.0):.0%} of the variance in segments left out"
@@ -769,10 +766,10 @@ def _without_delay(
     """Return a fit, with the delay at zero if it cannot be told from the lag, and what it tells."""
     drives, reasons = _judge(fit, span)
     if fit.explained < IDENTIFICATION.least_explained or (
-        "delay" not in reasons and fit.values[DELAY] >= 0.0
+        "delay" not in reasons and fit.values[Parameter.DELAY] >= 0.0
     ):
         return fit, drives, reasons
-    free = [k for k in range(COMPLIANCE + loads) if k != DELAY]
+    free = [k for k in range(Parameter.COMPLIANCE + loads) if k != Parameter.DELAY]
     again = fit_drives(series, loads, free)
     told, others = _judge(again, span)
     others |= {name: why for name, why in reasons.items() if name == "delay"}
@@ -788,7 +785,7 @@ def _fit_series(
 
 def _stiffness(fit: Fit) -> tuple[Estimate | None, str]:
     """Return the stiffness of a fit with a compliance, or why there is none."""
-    compliance = Estimate(*fit.parameter(COMPLIANCE))
+    compliance = Estimate(*fit.parameter(Parameter.COMPLIANCE))
     if compliance.lower <= 0.0 or compliance.half > IDENTIFICATION.wide * compliance.value:
         interval = f"{compliance.lower:.2g} to {compliance.upper:.2g}"
         return None, f"the sag by weight is not told: {interval} rad/(N m), or m/N"

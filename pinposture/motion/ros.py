@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pinposture._validation import is_number, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.description import read_description
-from pinposture.errors import FileError, InvalidValue, did_you_mean
+from pinposture.errors import FileError, InvalidValue, did_you_mean, install
 from pinposture.motion.joint_files import Columns, with_computed_rates
 from pinposture.motion.joint_trajectory import JointTrajectory, check_names
 from pinposture.storage import check_writable, parse_json, read_text, require_suffix, write_text
@@ -283,7 +283,7 @@ def write_bag(
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise FileError(path, "bags need another package; pip install 'pinposture[ros]'") from None
+        raise FileError(path, f"bags need another package; {install('ros')}") from None
     require_positive("start", start)
     alone = path.suffix.lower() == ".mcap"
     if path.exists() and not (alone and path.is_file()):
@@ -470,7 +470,7 @@ def read_bag(path: Path, commands: str | None, joint_names: Sequence[str] = ()) 
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise FileError(path, "bags need another package; pip install 'pinposture[ros]'") from None
+        raise FileError(path, f"bags need another package; {install('ros')}") from None
     if not path.exists():
         raise FileError(path, "no such bag")
     rows: dict[str, list[_Row]] = {STATES: []} if commands is None else {STATES: [], commands: []}

@@ -19,7 +19,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.collision.mapping import SEEN
 from pinposture.collision.scan import Cells
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, PostureError, install
 from pinposture.motion.ros import NANOSECONDS, world_frame
 from pinposture.operate.control import DIRECTIONS, Control
 from pinposture.operate.operation import Shown
@@ -77,7 +77,7 @@ class Recorder:
         try:
             from foxglove import Channel, Context, Schema, channels, messages, open_mcap
         except ImportError:
-            raise FileError(self.path, LACKING) from None
+            raise FileError(self.path, f"recordings need another package; {install('foxglove')}") from None
         check_writable(self.path.parent)
         self._arm = arm
         self._messages: Any = messages
@@ -149,9 +149,6 @@ class Recorder:
         }
 
 
-LACKING = "recordings need another package; pip install 'pinposture[foxglove]'"
-
-
 def _described(shown: Shown) -> dict[str, Any]:
     """Return a cycle as plain data."""
     order = shown.order
@@ -191,7 +188,7 @@ def read_recording(arm: Arm, path: str | Path, scene: Scene) -> Iterator[Shown]:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader
     except ImportError:
-        raise FileError(path, LACKING) from None
+        raise FileError(path, f"recordings need another package; {install('foxglove')}") from None
     begin: int | None = None
     radius = 0.0
     points = np.zeros((0, 3))

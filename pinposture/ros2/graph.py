@@ -9,9 +9,8 @@ from importlib import import_module
 from types import FrameType
 from typing import Any
 
-from pinposture.errors import PostureError
+from pinposture.errors import PostureError, install
 
-COMMAND = "pip install 'pinposture[ros2]', or source the setup file of your ROS 2"
 """How to get rclpy."""
 
 MESSAGES = (
@@ -38,7 +37,9 @@ class RosMissing(PostureError, ImportError):
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
-        super().__init__(f"this needs rclpy of ROS 2 ({reason}): {COMMAND}")
+        super().__init__(
+            f"this needs rclpy of ROS 2 ({reason}): {install('ros2')}, or source the setup file of your ROS 2"
+        )
 
 
 @contextmanager

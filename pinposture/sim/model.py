@@ -20,12 +20,7 @@ from scipy.linalg import eigh
 
 from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, Coupling
-from pinposture.arm.inertias import (
-    DEFAULT_MASS,
-    DEFAULT_RADIUS,
-    RigidBody,
-    physically_consistent,
-)
+from pinposture.arm.inertias import INERTIA, RigidBody, physically_consistent
 from pinposture.arm.kinematics import frame_ids
 from pinposture.arm.mjcf import load_mujoco
 from pinposture.arm.model_builder import build_model
@@ -476,7 +471,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
         bodies.append(body)
         if fault:
             faults.setdefault(fault, []).append(links_after[name].name)
-    ball = f"a ball of {1e3 * DEFAULT_MASS:g} g with a radius of {1e2 * DEFAULT_RADIUS:g} cm"
+    ball = f"a ball of {1e3 * INERTIA.ball_mass:g} g with a radius of {1e2 * INERTIA.ball_radius:g} cm"
     correction = {
         "no mass": f"taken as {ball}; {REMEDY}",
         "unphysical moments of inertia": "moments raised to the nearest physical ones",

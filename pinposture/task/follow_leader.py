@@ -27,7 +27,7 @@ from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import Capsule, Cylinder, Scene, Sphere
 from pinposture.collision.bodies import bodies_of
-from pinposture.collision.pipe import PIPE_MARGIN
+from pinposture.collision.scene import USUAL_MARGIN
 from pinposture.curve import Curve
 from pinposture.curve.curve import CurveField
 from pinposture.errors import (
@@ -854,7 +854,7 @@ def check_leader(leader: Leader, arm: Arm, scene: Scene | None = None) -> None:
 
 def _require_wider(radius: float, arm: Arm, scene: Scene | None) -> None:
     """Refuse a pipe that is narrower than the thinnest round body of the arm and the margin."""
-    margin = PIPE_MARGIN if scene is None else scene.margin
+    margin = USUAL_MARGIN if scene is None else scene.margin
     bodies = bodies_of(arm, None if scene is None else scene.arm_radius)
     round_ones = [body.shape.radius for body in bodies if isinstance(body.shape, Sphere | Capsule | Cylinder)]
     thinnest = min(round_ones, default=0.0)

@@ -17,7 +17,7 @@ from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
-from pinposture.control.limits import DEFAULT_CYCLE, JerkFilter, cycle_of
+from pinposture.control.limits import CYCLES, JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import PATH, JointPath, SpeedProfile, TimedPath, retime
@@ -300,7 +300,7 @@ def perform(
     require_function("progress", progress)
     arm = reference.arm
     controller, scene = in_scene(controller_named(controller), scene)
-    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
+    limits = Limits(step=None, dt=CYCLES.default) if limits is None else limits
     dt = cycle_of(limits)
     tolerance = ARRIVAL.distance * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
@@ -352,7 +352,7 @@ def move_through(
     Raises:
         PostureError: as those two.
     """
-    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
+    limits = Limits(step=None, dt=CYCLES.default) if limits is None else limits
     require_instance("scene", scene, Scene | None, "a Scene(...), or None")
     keyframes = placed(as_keyframes(keyframes), scene)
     reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity, repeat=repeat, limits=limits)

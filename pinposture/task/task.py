@@ -25,7 +25,7 @@ from pinposture.collision.model import effective_scene
 from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.collision.scene import SceneField, obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
-from pinposture.control.limits import LONGEST_CYCLE, cycle_of
+from pinposture.control.limits import CYCLES, cycle_of
 from pinposture.control.torque_limits import require_held
 from pinposture.curve import Curve
 from pinposture.document import SUFFIXES, Document, plain_data
@@ -450,8 +450,8 @@ def _check(task: Task) -> None:
     """
     require_instance("arm", task.arm, Arm, "an Arm")
     cycle = cycle_of(task.limits)
-    if cycle > LONGEST_CYCLE:
-        raise InvalidValue("dt", cycle, f"{LONGEST_CYCLE:g} s at most")
+    if cycle > CYCLES.longest:
+        raise InvalidValue("dt", cycle, f"{CYCLES.longest:g} s at most")
     task.limits.for_arm(task.arm)
     require_known("continuity", task.continuity, CONTINUITIES)
     require_whole("repeat", task.repeat, 1)

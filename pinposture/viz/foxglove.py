@@ -22,7 +22,7 @@ from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.bodies import scene_at
-from pinposture.errors import InvalidValue, ViewerError
+from pinposture.errors import InvalidValue, ViewerError, install
 from pinposture.motion import Run, Tracker, Trajectory
 from pinposture.motion.ros import world_frame
 from pinposture.placement import Target
@@ -61,7 +61,7 @@ class FoxgloveViewer(Viewer):
             from foxglove import Channel, Context, channels, messages, start_server
             from foxglove.websocket import ServerListener
         except ImportError as error:
-            advice = "pip install 'pinposture[foxglove]'"
+            advice = install("foxglove")
             raise ViewerError("foxglove", f"needs a further package: {advice} ({error})") from error
         self.tracker = run if isinstance(run, Tracker) else None
         self.run = None if isinstance(run, Tracker) else run

@@ -7,13 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.arm.inertias import (
-    DEFAULT_MASS,
-    INERTIA_ROUNDING,
-    MIN_RADIUS,
-    RigidBody,
-    physically_consistent,
-)
+from pinposture.arm.inertias import INERTIA, RigidBody, physically_consistent
 
 SEEDS = st.integers(0, 10_000)
 
@@ -52,7 +46,9 @@ def test_whatever_the_numbers_what_comes_out_is_a_solid(seed):
     assert is_solid(repaired)
     assert repaired.mass == body.mass
     # What is changed without a word is rounding, or less than what a ball of the smallest radius has.
-    allowed = 2.0 * (body.mass * MIN_RADIUS**2 / 5.0 + INERTIA_ROUNDING * np.abs(body.inertia).sum())
+    allowed = 2.0 * (
+        body.mass * INERTIA.least_radius**2 / 5.0 + INERTIA.rounding * np.abs(body.inertia).sum()
+    )
     assert changed or np.abs(repaired.inertia - body.inertia).max() <= allowed
 
 
@@ -61,7 +57,7 @@ def test_points_and_nothing_at_all_get_a_size():
     assert changed == "unphysical moments of inertia"
     np.testing.assert_allclose(point.inertia, 0.4 * 2.0 * 1e-8 * np.eye(3), rtol=1e-9)
     nothing, changed = physically_consistent(RigidBody(0.0, np.zeros(3), np.zeros((3, 3))))
-    assert (nothing.mass, changed) == (DEFAULT_MASS, "no mass")
+    assert (nothing.mass, changed) == (INERTIA.ball_mass, "no mass")
     assert is_solid(nothing)
 
 

@@ -16,7 +16,7 @@ from pinposture.arm.arm import arm_of
 from pinposture.collision import Scene
 from pinposture.control.controller import Memory, Step, require_step_arguments
 from pinposture.control.limits import (
-    MAX_STOPPING_STEPS,
+    CYCLES,
     JointBounds,
     Limits,
     StepBounds,
@@ -696,7 +696,7 @@ def stop_on_path(
 
 def stopping_on_path(progress: PathProgress) -> Array:
     """Return the steps that stop an arm on its path, as `stop_on_path` takes them, (k, nv) [rad or m]."""
-    places = np.empty(MAX_STOPPING_STEPS + 1)
+    places = np.empty(CYCLES.most_stopping + 1)
     count = kernels.find_stop(progress.timed.arrays, progress.place, progress.speed, places)
     return np.diff(progress.timed.path.smooth_offset(places[:count]), axis=0)
 
