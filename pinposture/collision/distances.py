@@ -25,6 +25,7 @@ from pinposture.kernels.arrays import (
     PIECE,
     SEGMENT,
     Contacts,
+    MotionSearch,
     Pairs,
     SearchTrees,
     TreeSettings,
@@ -243,22 +244,6 @@ class NearPairs(NamedTuple):
     normals: Array
     minimum: float
     nearest: int
-
-
-class MotionSearch(NamedTuple):
-    """Settings of the search for the smallest distance on motions.
-
-    Attributes:
-        below: only distances below this matter [m]; if there are none, the search may find none.
-        enough: the search ends at the first distance below this [m].
-        tolerance: error allowed in the smallest distance [m].
-        open_motion: initial motion between samples of pairs that need coal [m].
-    """
-
-    below: float
-    enough: float
-    tolerance: float
-    open_motion: float
 
 
 def _divide_samples(samples: Array, room: Array, tolerance: float, spread: float) -> Array:
@@ -530,6 +515,7 @@ class PairDistances:
         """
         positions, others = kinematics.positions(q, offsets)
         room = BUFFERS.open_samples * bool(self._open)
+        unknown = np.empty((2, 0))
         while True:
             samples = np.empty((room, 6))
             best, pair, count = kernels.smallest_distance_on_motions(
@@ -540,10 +526,8 @@ class PairDistances:
                 positions,
                 others[0],
                 drifts,
-                search.below,
-                search.enough,
-                search.tolerance,
-                search.open_motion,
+                search,
+                unknown,
                 samples,
             )
             if count <= room:
@@ -569,6 +553,7 @@ class PairDistances:
         q: Array,
         offsets: Array,
         asked: NDArray[np.bool_],
+        contacts: Contacts,
         search: MotionSearch,
     ) -> NDArray[np.bool_]:
         """Return which of the straight joint motions that are asked for keep `search.below`, (N,).
@@ -578,6 +563,7 @@ class PairDistances:
             q: as for `minimum_on_motions`.
             offsets: as for `minimum_on_motions`.
             asked: which motions to check, (N,); the answer is False for all others.
+            contacts: of the ends of the motions.
             search: settings of the search.
         """
         positions, others = kinematics.positions(q, offsets)
@@ -590,9 +576,8 @@ class PairDistances:
             self._arrays,
             positions,
             others[0],
-            search.below,
-            search.tolerance,
-            search.open_motion,
+            search,
+            contacts,
             clear,
             opened,
         )
@@ -672,11 +657,13 @@ class PairDistances:
             room = self._near * len(positions)
             contacts = Contacts(
                 samples=np.empty(room, dtype=np.int64),
+                pairs=np.empty(room, dtype=np.int64),
                 distances=np.empty(room),
                 carrying=np.empty((room, 2), dtype=np.int64),
                 points=np.empty((room, 3)),
                 normals=np.empty((room, 3)),
                 minima=minima,
+                within=within,
             )
             count = kernels.contacts_along(
                 kinematics.joints,
@@ -685,11 +672,10 @@ class PairDistances:
                 self._arrays,
                 positions,
                 others,
-                within,
                 contacts,
             )
             if count <= room:
-                return Contacts._make([*(column[:count] for column in contacts[:-1]), minima])
+                return Contacts._make([*(column[:count] for column in contacts[:-2]), minima, within])
             self._near = 2 * count // len(positions) + 1
 
     def axes(self, pair: int, placements: JointFrames, point: Array) -> tuple[Array, Array]:

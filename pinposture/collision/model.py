@@ -18,7 +18,6 @@ from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import STAND_IN_RADIUS, Body, bodies_of, carried_bodies
 from pinposture.collision.distances import (
     JointFrames,
-    MotionSearch,
     NearPairs,
     PairDistances,
     TreeKinematics,
@@ -28,7 +27,13 @@ from pinposture.collision.scene import USUAL_MARGIN, Scene, split_velocity
 from pinposture.collision.shapes import Sphere
 from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.kernels.arrays import OTHERWISE, Contacts, SearchTrees, TreeSettings
+from pinposture.kernels.arrays import (
+    OTHERWISE,
+    Contacts,
+    MotionSearch,
+    SearchTrees,
+    TreeSettings,
+)
 from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
@@ -775,19 +780,20 @@ class CollisionModel:
         return Closest(lowest, None)
 
     def keep_distance(
-        self, q0: Array, offsets: Array, least: float, asked: NDArray[np.bool_]
+        self, q0: Array, offsets: Array, least: float, asked: NDArray[np.bool_], contacts: Contacts
     ) -> NDArray[np.bool_]:
-        """Return which straight joint motions keep a distance, (N,), given that they begin with it.
+        """Return which straight joint motions keep a distance, (N,).
 
         Args:
             q0: as for `minimum_on_motions`.
             offsets: as for `minimum_on_motions`.
             least: the distance [m].
             asked: which motions to check, (N,); the answer is False for all others.
+            contacts: of the ends of the motions, from `contacts_along`, within that distance or more.
         """
         size = self._arm_length
         search = MotionSearch(least, least, MOTION_TOLERANCE * size, OPEN_MOTION * size)
-        return self._distances.keep_distance(self._kinematics, q0, offsets, asked, search)
+        return self._distances.keep_distance(self._kinematics, q0, offsets, asked, contacts, search)
 
     def grow_trees(
         self,

@@ -196,19 +196,39 @@ class Contacts(NamedTuple):
 
     Attributes:
         samples: index of the configuration of each contact, (k,); increasing.
+        pairs: the pair of each, (k,).
         distances: between the surfaces, negative for overlap, (k,) [m].
         carrying: the joints that carry the two solids, 0 for an obstacle, (k, 2).
         points: the contacts, (k, 3) [m], world frame.
         normals: unit vectors from the second solid to the first, (k, 3), world frame.
         minima: smallest distance at each configuration, at most the given one, (s,) [m].
+        within: the given distance [m].
     """
 
     samples: Ints1
+    pairs: Ints1
     distances: Array1
     carrying: Ints2
     points: Array2
     normals: Array2
     minima: Array1
+    within: float
+
+
+class MotionSearch(NamedTuple):
+    """Settings of the search for the smallest distance on motions.
+
+    Attributes:
+        below: only distances below this matter [m]; if there are none, the search may find none.
+        enough: the search ends at the first distance below this [m].
+        tolerance: error allowed in the smallest distance between the ends of a motion [m].
+        open_motion: motion of an inexact pair below which its distance is left open [m].
+    """
+
+    below: float
+    enough: float
+    tolerance: float
+    open_motion: float
 
 
 class PathTolerances(NamedTuple):

@@ -729,7 +729,6 @@ def contacts_along(
     pairs: Pairs,
     positions: Array2,
     others: Array3,
-    within: float,
     contacts: Contacts,
 ) -> int:
     """Find the pairs nearer than a distance at several configurations.
@@ -743,8 +742,7 @@ def contacts_along(
         pairs: the pairs.
         positions: joint positions, (s, nv).
         others: as in `place_joints`.
-        within: the distance.
-        contacts: filled; the minima at each configuration are at most `within`.
+        contacts: filled, but for the distance.
 
     Returns:
         Number of contacts; those beyond k were not stored.
@@ -752,6 +750,7 @@ def contacts_along(
     count = len(joints.kinds) + 1
     bodies = len(carriers)
     room = len(contacts.samples)
+    within = contacts.within
     rotations = np.empty((1, count, 3, 3))
     origins = np.empty((1, count, 3))
     axes = np.empty((1, bodies, 2, 3))
@@ -775,6 +774,7 @@ def contacts_along(
                 contacts.minima[at] = min(contacts.minima[at], contact[0])
                 if found < room:
                     contacts.samples[found] = at
+                    contacts.pairs[found] = pair
                     contacts.distances[found] = contact[0]
                     other = pairs.second[pair]
                     contacts.carrying[found, 0] = carriers[pairs.first[pair]]

@@ -2,7 +2,9 @@
 
 A motion is evaluated at its midpoint: the distance of a pair there, minus the motion of both solids until
 either end, bounds the distance on the whole motion. If that is not decisive, both halves are examined for the
-remaining pairs (conservative advancement by bisection).
+remaining pairs (conservative advancement by bisection). So does half the sum of the distances at both ends,
+minus the motion until either: a pair that was measured there, or halfway of a longer motion, often needs no
+further measurement.
 
 A convex obstacle lies behind the plane through its nearest point, across the shortest way from it: a body
 is no nearer to it than to that plane. Only motion towards the plane counts, and a body that slides along a
@@ -27,10 +29,13 @@ from pinposture.kernels.arrays import (
     Array1,
     Array2,
     Array3,
+    Contacts,
     Flags1,
     Ints1,
     Joints,
+    MotionSearch,
     Pairs,
+    Three,
 )
 from pinposture.kernels.collision import (
     Contact,
@@ -72,10 +77,8 @@ def smallest_distance_on_motions(
     positions: Array2,
     others: Array2,
     drifts: Array2,
-    below: float,
-    enough: float,
-    tolerance: float,
-    open_motion: float,
+    search: MotionSearch,
+    at_ends: Array2,
     open_samples: Array2,
 ) -> tuple[float, int, int]:
     """Find the smallest distance on straight motions from each configuration to the next.
@@ -88,10 +91,9 @@ def smallest_distance_on_motions(
         positions: joint positions at the ends of the motions, (N + 1, nv).
         others: placements of the joints that move otherwise, but not on this motion, as in `place_joints`.
         drifts: additional translation of the arm, (N + 1, 3).
-        below: bound of relevant distances; pairs that are not nearer may be skipped.
-        enough: the search ends at the first distance smaller than this.
-        tolerance: error allowed in the smallest distance between the configurations.
-        open_motion: motion of an inexact pair below which its distance is left open.
+        search: settings of the search.
+        at_ends: lower bounds of the distances of all pairs at both ends of a single motion, none of which is
+            below, (2, n); or empty, (2, 0).
         open_samples: filled with the open places: index of the motion, fraction along it, half the open range
             around that, the pair, its motion there, and a lower bound of its distance there, (k, 6).
 
@@ -110,7 +112,10 @@ def smallest_distance_on_motions(
     drift = np.empty(3)
     here = np.empty(3)
     bounds = np.empty((count, 9)), np.empty(bodies), np.empty(len(blocks))
+    below, enough, tolerance, open_motion = search
+    known = at_ends.shape[1] > 0
     stack = np.empty(1024, dtype=np.int64)
+    rooms = np.empty((1024, 3))  # lower bounds of distances at the begin, the middle and the end
     begins = np.zeros(MAX_DEPTH + 2, dtype=np.int64)
     right = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
     crowded = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
@@ -164,21 +169,30 @@ def smallest_distance_on_motions(
                     aim = min(below, best) - (tolerance if depth > 0 else 0.0)
                     moved = bounds[1][pairs.first[pair]]
                     other = pairs.second[pair]
-                    lower = pair_bound(ends, pairs, pair)
+                    room = -np.inf, -np.inf
+                    if not anew:
+                        side = 1 if right[depth] else 0
+                        room = rooms[entry, side], rooms[entry, side + 1]
+                    elif depth == 0 and known:
+                        room = at_ends[0, pair], at_ends[1, pair]
+                    between = 0.5 * (room[0] + room[1])
                     if other < bodies:
                         moved += bounds[1][other]
-                        if lower - moved < aim:
-                            near = pairs.first[pair]
-                            far = other
-                            if carriers[near] > carriers[far]:
-                                near, far = far, near
-                            apart = _relative_motion(arm, placed, move, half, far, near)
-                            moved = min(moved, apart)
-                    if lower - moved >= aim:
+                    if between - moved >= aim:
+                        continue
+                    lower = pair_bound(ends, pairs, pair)
+                    if other < bodies and lower - moved < aim:
+                        near = pairs.first[pair]
+                        far = other
+                        if carriers[near] > carriers[far]:
+                            near, far = far, near
+                        apart = _relative_motion(arm, placed, move, half, far, near)
+                        moved = min(moved, apart)
+                    if max(lower, between) - moved >= aim:
                         continue
                     waits = lower >= min(below, best) and lower - aim < MEASURED_SHARE * moved
                     if waits and pairs.exact[pair]:
-                        stack, last = _push(stack, last, pair)
+                        stack, rooms, last = _push(stack, rooms, last, pair, (room[0], lower, room[1]))
                         continue
                     contact = pair_contact(ends, pairs, pair, aim + moved)
                     distance = contact[0]
@@ -189,7 +203,7 @@ def smallest_distance_on_motions(
                             if best < enough:
                                 return best, best_pair, opened
                             aim = best - (tolerance if depth > 0 else 0.0)
-                    elif distance - moved < aim and moved <= open_motion:
+                    elif distance < aim and moved <= open_motion:
                         bound = distance - moved
                         sample = piece, middle, half, pair, moved, bound
                         opened = _leave_open(open_samples, opened, sample)
@@ -199,16 +213,18 @@ def smallest_distance_on_motions(
                     if distance - moved < aim and moved > 0.0:
                         if _stays_behind(arm, placed, bounds[0], half, pairs, pair, contact, aim):
                             continue
-                        stack, last = _push(stack, last, pair)
+                        stack, rooms, last = _push(stack, rooms, last, pair, (room[0], distance, room[1]))
             crowded[depth] = anew and last - first > MANY_PAIRS
-            if depth == 0 and last > 0:
+            if depth == 0 and last > 0 and not known:
                 end = positions[piece + 1], drifts[piece + 1]
                 _place_bodies(arm, end[0], others, end[1], placed)
                 for entry in range(len(pairs.first) if crowded[0] else last):
                     pair = entry if crowded[0] else stack[entry]
-                    if pair_bound(ends, pairs, pair) >= min(below, best):
-                        continue
-                    distance = pair_contact(ends, pairs, pair, min(below, best))[0]
+                    distance = pair_bound(ends, pairs, pair)
+                    if distance < min(below, best):
+                        distance = pair_contact(ends, pairs, pair, min(below, best))[0]
+                    if not crowded[0]:
+                        rooms[entry, 2] = min(distance, below, best)  # it may not be exact beyond
                     if distance >= min(below, best):
                         continue
                     if pairs.exact[pair]:
@@ -245,9 +261,8 @@ def check_motions(
     pairs: Pairs,
     positions: Array2,
     others: Array2,
-    least: float,
-    tolerance: float,
-    open_motion: float,
+    search: MotionSearch,
+    contacts: Contacts,
     clear: Flags1,
     opened: Flags1,
 ) -> None:
@@ -260,45 +275,55 @@ def check_motions(
         pairs: the pairs.
         positions: joint positions at the ends of the motions, (N + 1, nv).
         others: as there.
-        least: the distance.
-        tolerance: as there.
-        open_motion: as there.
+        search: settings of the search; `below` is the distance.
+        contacts: of the ends of the motions, as from `contacts_along`.
         clear: whether a motion is to be checked; filled with whether exact pairs keep the distance, (N,).
         opened: filled with whether inexact pairs are left open, (N,).
     """
     still = np.zeros((2, 3))
     nothing = np.empty((0, 6))
+    begins = np.searchsorted(contacts.samples, np.arange(len(clear) + 2))
+    at_ends = np.full((2, len(pairs.first)), contacts.within)
     for piece in range(len(clear)):
         opened[piece] = False
-        if not clear[piece]:
-            continue
-        distance, _, count = smallest_distance_on_motions(
-            joints,
-            carriers,
-            local,
-            pairs,
-            positions[piece : piece + 2],
-            others,
-            still,
-            least,
-            least,
-            tolerance,
-            open_motion,
-            nothing,
-        )
-        clear[piece] = distance >= least
-        opened[piece] = clear[piece] and count > 0
+        for end in range(2):
+            for row in range(begins[piece + end], begins[piece + end + 1]):
+                at_ends[end, contacts.pairs[row]] = contacts.distances[row]
+                if contacts.distances[row] < search.below and pairs.exact[contacts.pairs[row]]:
+                    clear[piece] = False
+        if clear[piece]:
+            distance, _, count = smallest_distance_on_motions(
+                joints,
+                carriers,
+                local,
+                pairs,
+                positions[piece : piece + 2],
+                others,
+                still,
+                search,
+                at_ends,
+                nothing,
+            )
+            clear[piece] = distance >= search.below
+            opened[piece] = clear[piece] and count > 0
+        for end in range(2):
+            for row in range(begins[piece + end], begins[piece + end + 1]):
+                at_ends[end, contacts.pairs[row]] = contacts.within
 
 
 @inlined
-def _push(stack: Ints1, count: int, pair: int) -> tuple[Ints1, int]:
-    """Store a pair, in a longer array if there is no room; return the array and the number of pairs."""
+def _push(stack: Ints1, rooms: Array2, count: int, pair: int, room: Three) -> tuple[Ints1, Array2, int]:
+    """Store a pair and its room, in longer arrays if need be; return the arrays and the number of pairs."""
     if count == len(stack):
         longer = np.empty(2 * count, dtype=np.int64)
         longer[:count] = stack
         stack = longer
+        more = np.empty((2 * count, 3))
+        more[:count] = rooms
+        rooms = more
     stack[count] = pair
-    return stack, count + 1
+    rooms[count, 0], rooms[count, 1], rooms[count, 2] = room
+    return stack, rooms, count + 1
 
 
 @subkernel

@@ -17,6 +17,7 @@ from pinposture.kernels.arrays import (
     Array3,
     Ints1,
     Joints,
+    MotionSearch,
     Pairs,
     SearchTrees,
     TreeSettings,
@@ -66,6 +67,8 @@ def grow_trees(
     ends = np.empty((2, size))
     still = np.zeros((2, 3))
     nothing = np.empty((0, 6))
+    unknown = np.empty((2, 0))
+    search = MotionSearch(settings.least, settings.least, settings.tolerance, settings.open_motion)
     used = 0
     clear = True
     if refused:
@@ -103,10 +106,8 @@ def grow_trees(
                 ends,
                 others,
                 still,
-                settings.least,
-                settings.least,
-                settings.tolerance,
-                settings.open_motion,
+                search,
+                unknown,
                 nothing,
             )
             clear = distance >= settings.least

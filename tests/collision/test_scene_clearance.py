@@ -111,8 +111,37 @@ def test_the_minimum_among_many_obstacles_is_that_of_dense_samples(seed):
     assert dense - 2e-3 * arm.length <= found <= dense + MOTION_TOLERANCE * arm.length
 
 
+@pytest.mark.parametrize("seed", [4, 7, 10])
+def test_a_long_motion_passes_over_no_small_ball(seed):
+    """What was measured halfway of a motion bounds the distances in its halves, of each half its own."""
+    arm = pp.Arm.from_template("RyRz", modules=20)
+    rng = np.random.default_rng(seed)
+    start, goal = (arm.checked(pp.arm.smooth_configuration(arm, rng, 0.6)) for _ in range(2))
+    centers = rng.uniform(-0.5, 0.5, (60, 3)) + [0.0, 0.0, 0.4]
+    balls = {f"ball {k}": Sphere(tuple(center), 0.004) for k, center in enumerate(centers)}
+    clearance = CollisionModel(arm, Scene(balls, self_collision=False))
+    change = arm.difference(start, goal)
+    dense = clearance.minimum_along(start, np.linspace(0.0, 1.0, 2001)[:, None] * change).distance
+    assert clearance.minimum_between(start, change).distance <= dense + MOTION_TOLERANCE * arm.length
+    walk = np.linspace(0.0, 1.0, 9)[:, None] * change
+    lowest = np.array(
+        [
+            clearance.minimum_along(start, one + np.linspace(0.0, 1.0, 251)[:, None] * (other - one)).distance
+            for one, other in pairwise(walk)
+        ]
+    )
+    asked = np.ones(8, dtype=np.bool_)
+    for least in np.quantile(lowest, [0.3, 0.6]):
+        contacts = clearance.contacts_along(start, walk, least + 0.05)
+        kept = clearance.keep_distance(start, walk, least, asked, contacts)
+        np.testing.assert_array_equal(kept, lowest >= least)
+
+
 def test_each_motion_keeps_a_distance_as_its_samples_do():
-    """Also from a mesh, which the kernel leaves open; motions that are not asked for are not checked."""
+    """Also from a mesh, which the kernel leaves open; motions that are not asked for are not checked.
+
+    The farther the contacts at the ends of the motions are seen, the more pairs need no measurement between.
+    """
     arm = spatial()
     rng = np.random.default_rng(5)
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=False))
@@ -122,15 +151,16 @@ def test_each_motion_keeps_a_distance_as_its_samples_do():
     shares = np.linspace(0.0, 1.0, 50)[:, None]
     motions = [one + shares * (other - one) for one, other in pairwise(walk)]
     lowest = np.array([clearance.minimum_along(q, motion).distance for motion in motions])
-    begins = np.array([clearance.minimum_along(q, one[None]).distance for one in walk[:-1]])
     asked = rng.random(len(lowest)) < 0.8
     slack = 5e-3 * arm.length
     for least in np.quantile(lowest, [0.3, 0.5, 0.7]):
-        kept = clearance.keep_distance(q, walk, least, asked)
-        assert not kept[~asked].any()
-        assert kept[asked & (lowest > least + slack)].all()
-        assert not kept[(lowest < least - slack) & (begins >= least)].any()  # it is given to begin with it
-        assert 2 < kept.sum() < asked.sum() - 2
+        for beyond in (0.0, 0.1, 2.0):
+            contacts = clearance.contacts_along(q, walk, least + beyond * arm.length)
+            kept = clearance.keep_distance(q, walk, least, asked, contacts)
+            assert not kept[~asked].any()
+            assert kept[asked & (lowest > least + slack)].all()
+            assert not kept[lowest < least - slack].any()
+            assert 2 < kept.sum() < asked.sum() - 2
 
 
 def test_the_minimum_between_sees_obstacles_move():

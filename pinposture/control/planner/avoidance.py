@@ -18,6 +18,7 @@ from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.torque_limits import StepTorques, Stop, TorqueLimits
 from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import Contacts
 from pinposture.quadratic_program import ConstraintRows, Solution
 from pinposture.units import CONVERGED, length_text
 
@@ -99,6 +100,7 @@ class PathClearance(NamedTuple):
         normals: unit vectors from the second to the first body, (r, 3), world frame.
         minima: smallest distance at each configuration, or any larger number, up to infinity, if it is large
             enough, (s,) [m].
+        contacts: what these were computed from.
     """
 
     errors: Array
@@ -107,6 +109,7 @@ class PathClearance(NamedTuple):
     points: Array
     normals: Array
     minima: Array
+    contacts: Contacts
 
 
 @cache
@@ -368,7 +371,8 @@ class Avoidance:
             offsets: displacements from it, (s, nv) [rad or m].
         """
         sight = self.margin + AVOIDANCE.path_clearance * self._length
-        contacts = self.clearance.contacts_along(q, offsets, sight + AVOIDANCE.path_sight * self._length)
+        within = sight + AVOIDANCE.path_sight * self._length
+        contacts = self.clearance.contacts_along(q, offsets, within)
         return PathClearance(
             errors=sight - contacts.distances,
             samples=contacts.samples,
@@ -376,6 +380,7 @@ class Avoidance:
             points=contacts.points,
             normals=contacts.normals,
             minima=contacts.minima,
+            contacts=contacts,
         )
 
     @cached_property

@@ -592,9 +592,9 @@ class _Candidates:
         The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
         none is clear, further relaxed paths. Before the most direct path, which takes longer, a straight
         motion of the joints is told if it is clear, and where it is not, a short tree search is made. The
-        first relaxation is left out if the tree search finds no path and an end is trapped, or the arm has
-        many joints. What is found is told at once. With tasks, which a search would disregard, the tree
-        search comes after the first relaxation.
+        first relaxation is left out if the tree search finds a path, or none and an end is trapped or the
+        arm has many joints. What is found is told at once. With tasks, which a search would disregard, the
+        tree search comes after the first relaxation.
         """
         search = self._search
         variant = 2 * attempt
@@ -614,9 +614,9 @@ class _Candidates:
             if searched is None:
                 searched = self._keep(search.connect(self._search_tells))
             hopeless = searched is None and (search.is_trapped or too_many)
-        if not hopeless:
-            yield self._relax(0, variant, count)
         if searched is None:
+            if not hopeless:
+                yield self._relax(0, variant, count)
             searched = self._keep(search.withdraw(self._search_tells))
         if searched is not None:
             yield from self._relax_found(searched)

@@ -31,7 +31,7 @@ from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.planner.path import PATH, JointPath
-from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
+from pinposture.kernels.arrays import Contacts, PathContacts, PathProblem, PathRows
 
 Array = NDArray[np.float64]
 
@@ -143,9 +143,6 @@ class HinderedSettings(NamedTuple):
     pieces_of_given: tuple[int, ...] = (32, 64, 128, 256)
     """Number of pieces of a path that is given, the first with which it is still clear."""
 
-    converged: float = 1e-3
-    """Relative decrease of the energy at which Gauss-Newton steps end."""
-
     iterations: int = 30
     """Number of Gauss-Newton steps after which a path that is not clear is abandoned."""
 
@@ -155,8 +152,17 @@ class HinderedSettings(NamedTuple):
     slow_share: float = 0.4
     """That share."""
 
-    waypoint_step: float = 0.3
-    """Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
+    first_reach: float = 0.3
+    """Largest joint motion of a waypoint in the first Gauss-Newton step, in `Arm.joint_units`."""
+
+    most_reach: float = 1.2
+    """The same in any later step."""
+
+    growth: float = 1.5
+    """Factor of that reach after a step that it shortened and that lowered the energy at once."""
+
+    halvings: int = 2
+    """How often a step that does not lower the energy is halved before another one is computed."""
 
     least_damping: float = 1e-9
     """Smallest damping of Gauss-Newton steps, relative to the mean diagonal of J^T J."""
@@ -165,7 +171,10 @@ class HinderedSettings(NamedTuple):
     """Damping at which the search ends, relative to the mean diagonal of J^T J."""
 
     damping_decrease: float = 1.0 / 3.0
-    """Damping factor after a step that lowered the energy."""
+    """Damping factor after a step that was not shortened and lowered the energy."""
+
+    damping_increase: float = 30.0
+    """Damping factor after a step that did not lower it, halved or not."""
 
     held_back: int = 8
     """How often waypoints of a step are held back to keep a clear path clear, before the step is
@@ -181,22 +190,18 @@ class Descent(NamedTuple):
     Attributes:
         steps: largest number of steps.
         damping: initial damping, relative to the mean diagonal of J^T J.
-        increase: damping factor after a step that did not lower the energy.
-        power: power to which that factor is raised with each consecutive failure.
-        keeps: whether the damping stays after a step that was shortened.
+        converged: relative decrease of the energy in a step at which they end.
     """
 
     steps: int
     damping: float
-    increase: float
-    power: float
-    keeps: bool
+    converged: float
 
 
-FROM_GUESS = Descent(steps=60, damping=1e-3, increase=2.0, power=2.0, keeps=False)
-COARSE = Descent(steps=20, damping=1e-6, increase=3.0, power=1.4, keeps=True)
+FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-3)
+COARSE = Descent(steps=20, damping=1e-6, converged=1e-2)
 FINE = COARSE._replace(steps=10)
-WHOLE = COARSE._replace(steps=50)
+WHOLE = COARSE._replace(steps=50, converged=1e-3)
 """From a guess; from a given path in few pieces, then with each divided in two; and in many at once."""
 
 
@@ -364,13 +369,15 @@ class _Iterate(NamedTuple):
 
     Attributes:
         x: displacements from the start, (N + 1, n), in `Arm.joint_units`.
-        points: control points, (N + 1, r) [m].
+        points: control points, (N + 1, m, 3) [m].
         rows: rows of the tasks.
         contacts: pairs of bodies that are near.
-        clear: which pieces keep the smallest distance, (N,).
+        clear: which pieces keep the smallest distance at both ends or, once checked, throughout, (N,).
         energy: the sum that is minimised [m^2].
         scale: the energy to which a decrease is compared [m^2]. With tasks it is that without contacts: some
             bodies miss clearance in every configuration, which hides what tasks still miss.
+        near: the same pairs, at all waypoints; None without obstacles.
+        lowest: smallest distance at both ends of each piece, or any larger number if it is large, (N,) [m].
     """
 
     x: Array
@@ -380,6 +387,8 @@ class _Iterate(NamedTuple):
     clear: NDArray[np.bool_]
     energy: float
     scale: float
+    near: Contacts | None
+    lowest: Array
 
 
 class _PathRelaxation:
@@ -402,9 +411,9 @@ class _PathRelaxation:
 
     def run(self, x: Array, descent: Descent = FROM_GUESS) -> Array:
         """Return waypoints at a minimum, (N + 1, n), from an initial guess within the limits."""
-        now = self._evaluate(x)
+        now = self._checked(self._evaluate(x))
         damping = descent.damping
-        increase = descent.increase
+        reach = AMONG_OBSTACLES.first_reach
         first = now.energy
         for number in range(descent.steps):
             slow = (
@@ -415,30 +424,40 @@ class _PathRelaxation:
             if hopeless or damping > AMONG_OBSTACLES.most_damping or perf_counter() >= self._penalties.until:
                 break
             step = self._step(now, damping)
-            shortened = step is not None and float(np.abs(step).max()) > AMONG_OBSTACLES.waypoint_step
-            tried = None if step is None else self._move(now, _shortened(step))
-            if tried is None or tried.energy >= now.energy:
-                damping = damping * increase
-                increase = increase**descent.power
+            size = inf if step is None else float(np.abs(step).max())
+            share = min(1.0, reach / max(size, 1e-300))
+            tried = None
+            halvings = 0
+            while step is not None and tried is None and halvings <= AMONG_OBSTACLES.halvings:
+                tried = self._move(now, 0.5**halvings * share * step)
+                halvings += 1
+            if tried is None:
+                damping *= AMONG_OBSTACLES.damping_increase
                 continue
-            converged = now.energy - tried.energy < AMONG_OBSTACLES.converged * now.scale
+            converged = now.energy - tried.energy < descent.converged * now.scale
             now = tried
-            if not (shortened and descent.keeps):
+            if halvings > 1:
+                reach = 0.5 ** (halvings - 1) * share * size
+            elif share < 1.0:
+                reach = min(AMONG_OBSTACLES.growth * reach, AMONG_OBSTACLES.most_reach)
+            else:
                 damping = max(damping * AMONG_OBSTACLES.damping_decrease, AMONG_OBSTACLES.least_damping)
-            increase = descent.increase
             if converged:
                 break
         return now.x
 
     def _move(self, now: _Iterate, step: Array) -> _Iterate | None:
-        """Return the path after a step of the inner waypoints, (N - 1, n).
+        """Return the path after a step of the inner waypoints, (N - 1, n); None if the energy does not fall.
 
-        On a clear path, waypoints beside a piece that would no longer be clear stay; None if that fails.
+        On a clear path, waypoints beside a piece that would no longer be clear stay; None if that fails, too.
         """
         moved = now.x.copy()
         moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, self._lower), self._upper)
         for _ in range(AMONG_OBSTACLES.held_back):
-            tried = self._evaluate(moved, now)
+            tried = self._evaluate(moved)
+            if tried.energy >= now.energy:
+                return None
+            tried = self._checked(tried, now)
             if tried.clear.all() or not now.clear.all():
                 return tried
             beside = np.zeros(len(moved), dtype=np.bool_)
@@ -447,23 +466,41 @@ class _PathRelaxation:
             moved[beside] = now.x[beside]
         return None
 
-    def _evaluate(self, x: Array, before: _Iterate | None = None) -> _Iterate:
-        """Return waypoints with what is derived from them; those of a clear path before need no new check."""
+    def _evaluate(self, x: Array) -> _Iterate:
+        """Return waypoints with what is derived from them, before pieces between them are checked."""
         objective = self._objective
         arm = objective.arm
         offsets = objective.displacement(x)
-        points = (arm.kinematics.points(self._positions + offsets) @ arm.plane.T).reshape(len(x), -1)
-        energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
+        points = arm.kinematics.points(self._positions + offsets)
+        moved = np.diff(points @ arm.plane.T, axis=0)
+        energy = float((moved**2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
         rows = self._rows(offsets)
-        known = np.zeros(len(x) - 1, dtype=np.bool_)
-        if before is not None and before.clear.all():
-            still = (x == before.x).all(axis=1)
-            known = still[:-1] & still[1:]
-        contacts, clear = self._clearance(offsets, known)
+        contacts, near, lowest = self._contacts(offsets)
         energy += float((rows.errors**2).sum())
         missing = float((contacts.errors[contacts.errors > 0.0] ** 2).sum())
         scale = energy if len(rows.errors) else energy + missing
-        return _Iterate(x, points, rows, contacts, clear, energy + missing, scale)
+        clear = lowest >= self._penalties.least
+        return _Iterate(x, points, rows, contacts, clear, energy + missing, scale, near, lowest)
+
+    def _checked(self, now: _Iterate, before: _Iterate | None = None) -> _Iterate:
+        """Return waypoints with the pieces that are clear; those of a clear path before need no check."""
+        avoidance = self._penalties.avoidance
+        if avoidance is None:
+            return now
+        least = self._penalties.least
+        offsets = self._objective.displacement(now.x)
+        clear = now.clear & avoidance.keeps_constraints(self._start, offsets)
+        if not clear.all() or now.near is None:
+            return now._replace(clear=clear)
+        known = np.zeros(len(clear), dtype=np.bool_)
+        if before is not None and before.clear.all():
+            still = (now.x == before.x).all(axis=1)
+            known = still[:-1] & still[1:]
+        # A piece is clear if its ends are much nearer to each other than to obstacles.
+        moved = np.sqrt((np.diff(now.points, axis=0) ** 2).sum(axis=2).max(axis=1))
+        doubtful = (now.lowest - least < 2.0 * moved) & ~known
+        kept = avoidance.clearance.keep_distance(self._start, offsets, least, doubtful, now.near)
+        return now._replace(clear=~doubtful | kept)
 
     def _rows(self, offsets: Array) -> PathRows:
         """Return the rows of tasks and of constraints at the inner waypoints."""
@@ -491,41 +528,29 @@ class _PathRelaxation:
             waypoints=np.repeat(np.array(waypoints), [len(part.errors) for part in rows]),
         )
 
-    def _clearance(self, offsets: Array, known: NDArray[np.bool_]) -> tuple[PathContacts, NDArray[np.bool_]]:
-        """Return the contacts at the inner waypoints, and which pieces are clear; some are known to be."""
+    def _contacts(self, offsets: Array) -> tuple[PathContacts, Contacts | None, Array]:
+        """Return the contacts at the inner waypoints, the near pairs, and lowest distances beside pieces."""
         avoidance = self._penalties.avoidance
-        least = self._penalties.least
         root = self._penalties.clearance_root
         if avoidance is None:
             begins = np.zeros(len(offsets) + 1, dtype=np.int64)
             nothing = np.zeros((0, 2), dtype=np.int64)
             contacts = PathContacts(np.zeros(0), begins, nothing, np.zeros((0, 3)), np.zeros((0, 3)))
-            return contacts, np.ones(len(offsets) - 1, dtype=np.bool_)
-        clearance = avoidance.measure_clearance(self._start, offsets[1:-1])
+            return contacts, None, np.full(len(offsets) - 1, inf)
+        clearance = avoidance.measure_clearance(self._start, offsets)
+        begins = np.searchsorted(clearance.samples, np.arange(len(offsets) + 1))
+        inner = slice(begins[1], begins[-2])
         contacts = PathContacts(
-            errors=root * clearance.errors,
-            begins=np.searchsorted(clearance.samples + 1, np.arange(len(offsets) + 1)).astype(np.int64),
-            carried=clearance.carried,
-            points=np.ascontiguousarray(clearance.points),
-            normals=root * clearance.normals,
+            errors=root * clearance.errors[inner],
+            begins=np.clip(begins - begins[1], 0, begins[-2] - begins[1]),
+            carried=clearance.carried[inner],
+            points=clearance.points[inner],
+            normals=root * clearance.normals[inner],
         )
-        minima = np.concatenate([[inf], clearance.minima, [inf]])
-        lowest = np.minimum(minima[:-1], minima[1:])
-        clear = lowest >= least
-        clear &= avoidance.keeps_constraints(self._start, offsets)
-        if clear.all():  # a piece is clear if its ends are much nearer to each other than to obstacles
-            points = self._objective.arm.kinematics.points(self._positions + offsets)
-            moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-            doubtful = (lowest - least < 2.0 * moved) & ~known
-            clear = ~doubtful | avoidance.clearance.keep_distance(self._start, offsets, least, doubtful)
-        return contacts, clear
+        minima = np.concatenate([[inf], clearance.minima[1:-1], [inf]])
+        return contacts, clearance.contacts, np.minimum(minima[:-1], minima[1:])
 
     def _step(self, now: _Iterate, damping: float) -> Array | None:
         """Return the damped step of the inner waypoints, (N - 1, n); None if it fails."""
         steps = self._waypoints.step(now.x, damping, now.rows, now.contacts)
         return None if steps is None else steps[1:-1]
-
-
-def _shortened(step: Array) -> Array:
-    """Return a step in which no joint of a waypoint moves too far."""
-    return step * min(1.0, AMONG_OBSTACLES.waypoint_step / max(float(np.abs(step).max()), 1e-300))
