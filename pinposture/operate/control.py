@@ -42,6 +42,9 @@ DONE = ("hold", "release", "ask", "give", *WISHES)
 """What a message can be about."""
 
 
+NOTHING_HELD = "nothing is held"
+
+
 class Order(NamedTuple):
     """What is held.
 
@@ -163,7 +166,9 @@ class Control:
         elif what == "release":
             self._order = None
             self._to_release = False
-            self.reason = "nothing is held"
+            self.reason = NOTHING_HELD
+        elif what == "hold" and self._to_release and self.reason == NOTHING_HELD:
+            self.reason = "it was held before the page had control; release, and hold again"
         elif what == "hold" and not self._to_release:
             direction = np.array([message[name] for name in DIRECTIONS])
             self._order = Order(direction, message["override"], message["along"], message["way"])
@@ -187,7 +192,7 @@ class Control:
         """Give control to the page that asks for it, or to none."""
         self._holder = self._asker
         self._asker = ""
-        self._lose("nothing is held" if self._holder else "no page has control")
+        self._lose(NOTHING_HELD if self._holder else "no page has control")
 
 
 def _read(message: str | bytes) -> dict[str, Any]:

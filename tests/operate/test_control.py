@@ -64,6 +64,7 @@ def test_another_page_gets_control_by_consent_alone_and_must_release_first() -> 
     assert tell(control, "a", "give", 0.03)["control"] == "taken"
     assert control.order(0.03) is None
     assert tell(control, "b", HELD, 0.04) == {"control": "yours", "asked": False, "held": False}
+    assert control.reason == "it was held before the page had control; release, and hold again"
     tell(control, "b", "release", 0.05)
     assert tell(control, "b", HELD, 0.06)["held"]
 

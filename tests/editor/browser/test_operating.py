@@ -67,6 +67,34 @@ def test_keys_and_buttons_count_while_they_are_held(browser: Any) -> None:
     assert complaints == []
 
 
+SENT = """
+window.sent = [];
+const send = WebSocket.prototype.send;
+WebSocket.prototype.send = function (message) { window.sent.push(message); return send.call(this, message); };
+"""
+"""Keeps what a page sends."""
+
+
+def test_a_key_that_is_pressed_as_soon_as_the_page_has_control_counts(browser: Any) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=2)
+    control = Control()
+    live = LivePage(Operation(arm, usual_limits(arm, 0.02), control), port=free_port())
+    context = browser.new_context(viewport=SIZE)
+    page = context.new_page()
+    page.add_init_script(SENT)
+    page.goto(f"{live.url}/controls")
+    page.click("text=Take control")
+    page.wait_for_selector("#controls.yours")
+    page.keyboard.down("w")
+    wait_until(lambda: '"hold"' in page.evaluate("sent.at(-1)"), "it is held")
+    done = [json.loads(message)["do"] for message in page.evaluate("sent")]
+    asked = done.index("ask")
+    assert done[asked + 1] == "release"  # else it would not count until it is released
+    assert "before the page had control" not in control.reason
+    context.close()
+    live.close()
+
+
 class Watched(Control):
     """Control that keeps when messages of pages came.
 
