@@ -263,6 +263,13 @@ def test_a_paused_tree_search_goes_on_where_it_stopped() -> None:
     np.testing.assert_array_equal(found.offsets, whole.offsets)
 
 
+def test_a_repaired_path_leaves_out_waypoints_that_are_not_needed() -> None:
+    goal = np.full(40, 0.05)
+    searched = search(pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}, self_collision=False), 0.0 * goal, goal)
+    aside = 0.3 * np.random.default_rng(0).normal(size=(3, 40))
+    np.testing.assert_array_equal(searched._pruned(np.vstack([0.0 * goal, aside, goal])), [0.0 * goal, goal])
+
+
 def test_in_the_open_it_is_one_straight_motion() -> None:
     goal = np.full(40, 0.05)
     scene = pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}, self_collision=False)
