@@ -29,6 +29,7 @@ STUDIES = {
 SCRIPTS = (
     "coupled_joints",
     "curve_fits",
+    "depth_images",
     "drives",
     "editor",
     "failures",
@@ -54,6 +55,7 @@ SCRIPTS = (
     "torque_cost",
     "torque_limits",
     "touch",
+    "ways",
     "wrap",
 )
 """Modules of `benchmarks.studies` with a command line of their own."""
