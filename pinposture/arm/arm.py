@@ -70,10 +70,8 @@ from pinposture.arm.specification import ArmSpec, PoseSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf import is_urdf_text
 from pinposture.arm.weight import (
-    EFFORT_REMEDY,
     NOTHING,
     REMEDY,
-    STIFFNESS_REMEDY,
     Added,
     Cable,
     HeldOut,
@@ -979,10 +977,10 @@ class Arm(ConfigurationSpace):
         parts = self.parts_without_mass
         lacking = [name for name in self.links_without_mass if name not in parts]
         if lacking:
-            raise WeightUnknown("mass", lacking, REMEDY)
+            raise WeightUnknown("mass", lacking, REMEDY.masses)
         if parts:
             counted = "have shapes and no mass; they count with the links that carry them"
-            warnings.append(f"{enumerated(map(repr, parts))} {counted}; {REMEDY}")
+            warnings.append(f"{enumerated(map(repr, parts))} {counted}; {REMEDY.masses}")
         if warns:
             for message in warnings:
                 self._warn_once(message)
@@ -1073,9 +1071,9 @@ class Arm(ConfigurationSpace):
         """
         unknown = [self.joint_names[u] for u in np.flatnonzero(np.isinf(self.effort))]
         if len(unknown) == self.nv:
-            raise WeightUnknown("torque limit", unknown, EFFORT_REMEDY)
+            raise WeightUnknown("torque limit", unknown, REMEDY.effort)
         if unknown and warns:
-            self._warn_once(str(WeightUnknown("torque limit", unknown, EFFORT_REMEDY)))
+            self._warn_once(str(WeightUnknown("torque limit", unknown, REMEDY.effort)))
 
     @property
     def stiffness(self) -> Array:
@@ -1088,7 +1086,7 @@ class Arm(ConfigurationSpace):
         known = np.zeros(self.nv) if springs is None else np.diagonal(springs)
         if springs is None or np.any(known == 0.0):
             names = [self.joint_names[u] for u in np.flatnonzero(known == 0.0)]
-            raise WeightUnknown("stiffness", names, STIFFNESS_REMEDY)
+            raise WeightUnknown("stiffness", names, REMEDY.stiffness)
         return _read_only(springs)
 
     @cached_property

@@ -31,9 +31,6 @@ from pinposture.arm.urdf import (
 )
 from pinposture.errors import URDFError
 
-_STACK = 16 << 20
-_STACK_PER_LINK = 8 << 10
-"""Stack for reading a description, and more for each link and joint, which need 2.3 kB together [bytes]."""
 _STACK_SIZE = threading.Lock()  # the size is that of all threads that are started
 
 
@@ -67,7 +64,8 @@ def build_model(text: str, source: str, unlimited: Collection[str] = ()) -> pin.
         if joint.get("name") in unlimited:
             _remove_limits(made)
     try:
-        return _parse(tostring(needed, encoding="unicode"), _STACK + _STACK_PER_LINK * len(needed))
+        stack = (16 << 20) + (8 << 10) * len(needed)  # a link and a joint need 2.3 kB together [bytes]
+        return _parse(tostring(needed, encoding="unicode"), stack)
     except (ValueError, RuntimeError) as error:
         raise URDFError(source, "<robot>", f"was rejected by Pinocchio: {error}") from None
 

@@ -14,7 +14,6 @@ MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL
 """Environment variables with folders of packages or models, the first of a list first."""
 
 _MANIFEST = "package.xml"
-_SEARCH_DEPTH = 2  # levels of folders searched for packages, as in src/package; each costs ten times the last
 
 
 def package_folders(folders: Iterable[str | Path]) -> list[Path]:
@@ -72,6 +71,7 @@ def package_name(folder: Path) -> str:
 
 def _packages_below(top: Path) -> Iterator[Path]:
     """Yield the folders below one that have a package.xml, sorted; there are no packages inside of them."""
+    depth = 2  # as in src/package; each level costs ten times the last
     try:
         for current, inside, files in os.walk(top):
             here = Path(current)
@@ -79,7 +79,7 @@ def _packages_below(top: Path) -> Iterator[Path]:
                 yield here
             ends = _MANIFEST in files and here != top
             ignored = not {"CATKIN_IGNORE", "COLCON_IGNORE", "AMENT_IGNORE"}.isdisjoint(files)
-            if ends or ignored or len(here.parts) - len(top.parts) >= _SEARCH_DEPTH:
+            if ends or ignored or len(here.parts) - len(top.parts) >= depth:
                 inside.clear()
             inside[:] = sorted(entry for entry in inside if not entry.startswith("."))
     except (OSError, ValueError):

@@ -45,13 +45,16 @@ from pinposture.units import ROUNDING, length_text, number_text
 
 Array = NDArray[np.float64]
 
-REMEDY = "give masses with pp.weigh(arm, density=...), or in the <inertial> of the description"
-"""What to do about links without masses."""
 
-EFFORT_REMEDY = "give torque limits with arm.with_effort(...), or in the description"
-"""What to do about joints without torque limits."""
-STIFFNESS_REMEDY = "give it with arm.with_stiffness(...)"
-"""What to do about joints whose stiffness is not known."""
+class Remedies(NamedTuple):
+    """What to do where something is not known."""
+
+    masses: str = "give masses with pp.weigh(arm, density=...), or in the <inertial> of the description"
+    effort: str = "give torque limits with arm.with_effort(...), or in the description"
+    stiffness: str = "give it with arm.with_stiffness(...)"
+
+
+REMEDY = Remedies()
 
 
 def _read_list(value: object) -> object:

@@ -31,7 +31,7 @@ OBSTACLE_TYPES: dict[str, type[Obstacle]] = {
 }
 """Obstacle classes by their type names in scene files; a new subclass of `MeshShape` is added here."""
 
-PLACES = ("center", "start", "end", "point")
+POSITIONS = ("center", "start", "end", "point")
 """Names of the fields of obstacles that move with them: positions."""
 
 DIRECTIONS = ("rotation", "normal")
@@ -82,7 +82,7 @@ def describe_types() -> list[str]:
 def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:
     """Return an obstacle after a rigid motion."""
     changes: dict[str, Any] = {}
-    for name in PLACES:
+    for name in POSITIONS:
         if hasattr(obstacle, name):
             changes[name] = motion.act(np.array(getattr(obstacle, name)))
     for name in DIRECTIONS:

@@ -52,8 +52,6 @@ from pinposture.schema import (
 )
 from pinposture.storage import parse_json, read_text, require_suffix, settled, write_text
 
-_MAX_TURNS = 1000
-
 
 def _direction(name: str, value: ArrayLike) -> NDArray[np.float64]:
     vector = as_vector(name, value)
@@ -70,7 +68,7 @@ _Radius = Annotated[
 _Pitch = Annotated[
     float, checked_number("0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6, "length")
 ]
-_Turns = Annotated[float, checked_number(f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)]
+_Turns = Annotated[float, checked_number("above 0, up to 1000", lambda x: 0 < x <= 1000)]
 _Phase = Annotated[float, checked_number("a finite angle [rad]", lambda x: True, "angle")]
 _Smoothing = Annotated[
     float,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import Vector, require_known
 from pinposture.arm import Arm
 from pinposture.collision import HalfSpace, Mesh, Obstacle, Scan, Scene
-from pinposture.collision.obstacles import DIRECTIONS, OBSTACLE_TYPES, PLACES, displaced
+from pinposture.collision.obstacles import DIRECTIONS, OBSTACLE_TYPES, POSITIONS, displaced
 from pinposture.collision.scene import obstacles_around, obstacles_near
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.session import Proposal, Session
@@ -140,11 +140,13 @@ def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
 def _rounded(obstacle: Obstacle, digits: int = COORDINATE_DIGITS) -> Obstacle:
     """Return an obstacle with rounded places, and directions without traces of rounding."""
     changes: dict[str, Any] = {}
-    for name in (*PLACES, *DIRECTIONS):
+    for name in (*POSITIONS, *DIRECTIONS):
         if hasattr(obstacle, name):
             value = np.array(getattr(obstacle, name))
-            whole = np.round(value, digits if name in PLACES else 0) + 0.0  # 0 rather than -0
-            changes[name] = whole if name in PLACES else np.where(np.abs(value - whole) < 1e-12, whole, value)
+            whole = np.round(value, digits if name in POSITIONS else 0) + 0.0  # 0 rather than -0
+            changes[name] = (
+                whole if name in POSITIONS else np.where(np.abs(value - whole) < 1e-12, whole, value)
+            )
     return obstacle.changed(**changes)
 
 

@@ -30,11 +30,10 @@ from pinposture._validation import (
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue, enumerated
-from pinposture.motion.arrival import FULL
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 from pinposture.quadratic_program import ROW_PROGRAM, solve
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, declared
-from pinposture.units import ROUNDING
+from pinposture.units import CONVERGED, ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -281,7 +280,11 @@ class Actuators(Declared):
         joint = self.arm.joint_names[worst]
         unit = "N" if self.arm.in_metres[worst] else "N m"
         allowed = f"torques that the tendons can exert; joint {joint!r} lacks {abs(lack[worst]):.4g} {unit}"
-        full = [name for name, t, top in zip(self.names, nearest, upper, strict=True) if t >= top * FULL]
+        full = [
+            name
+            for name, t, top in zip(self.names, nearest, upper, strict=True)
+            if t >= top * (1.0 - CONVERGED)
+        ]
         if full:
             allowed += f" with {enumerated(map(repr, full), 4)} at the largest tension"
         return InvalidValue(f"torque of joint {joint!r}", float(needed[worst]), allowed)

@@ -91,6 +91,9 @@ class StallTolerances(NamedTuple):
     """Time after which an arm that comes no closer gives up [s], and time constants of the averaged
     measurements to add: after four, less than 2 % of a change is still to come."""
 
+    rounding: float = 1e-12
+    """Increase of the posture error that is attributed to rounding, in arm lengths."""
+
     steady: float = 1e-4
     """Change of the displacement of an arm that is none, in `Arm.joint_units`, unless noise makes more."""
 
@@ -104,17 +107,6 @@ class StallTolerances(NamedTuple):
 
 
 STALL = StallTolerances()
-
-
-ERROR_ROUNDING = 1e-12
-"""Increase of the posture error that is attributed to rounding, in arm lengths."""
-
-
-FULL = 1.0 - 1e-6
-"""Share of a limit that counts as reached."""
-
-MARGIN_ROUNDING = 1e-3
-"""Share of the margin to obstacles whose loss is not reported."""
 
 
 Array = NDArray[np.float64]

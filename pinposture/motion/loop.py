@@ -18,7 +18,7 @@ from pinposture.control.controller import Info, Memory, next_step
 from pinposture.control.limits import JerkFilter
 from pinposture.control.smooth_steps import SmoothSteps
 from pinposture.errors import InvalidValue, enumerated, warn_caller
-from pinposture.motion.arrival import ERROR_ROUNDING, STALL
+from pinposture.motion.arrival import STALL
 from pinposture.motion.run import Run
 from pinposture.placement import Target
 from pinposture.units import ROUNDING, length_text
@@ -137,7 +137,7 @@ class RunRecord:
 
     def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error at a state exceeds the current one, by more than rounding."""
-        rounding = ERROR_ROUNDING * state.arm.length
+        rounding = STALL.rounding * state.arm.length
         error = float(self._target.distances(state.chain_state.points).sum())
         return error > self.posture_error + rounding
 

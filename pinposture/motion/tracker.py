@@ -32,7 +32,7 @@ from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
 from pinposture.control.torque_limits import find_overload
 from pinposture.errors import ControllerError, InvalidValue, PostureError
-from pinposture.motion.arrival import ARRIVAL, ERROR_ROUNDING, MARGIN_ROUNDING, REST, STALL, Arrival, Blockage
+from pinposture.motion.arrival import ARRIVAL, REST, STALL, Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.feedback import FEEDBACK, Feedback, FeedbackState, JointFailure, read_start
@@ -798,7 +798,7 @@ class Tracker:
         if step is None or aim is None or sent is None or before is None or np.array_equal(step.dq, dq):
             return step
         after = sent.chain_state
-        most = ERROR_ROUNDING * self.arm.length
+        most = STALL.rounding * self.arm.length
         rises = aim.mean_distance(after.points) > aim.mean_distance(before.chain_state.points) + most
         return step._replace(dq=np.array(dq), error_increasing=rises)
 
@@ -908,6 +908,6 @@ class Tracker:
 
     def _describe_clearance(self, closest: Closest) -> tuple[str, ...]:
         margin = 0.0 if self.scene is None else self.scene.margin
-        if closest.distance >= (1.0 - MARGIN_ROUNDING) * margin:
+        if closest.distance >= 0.999 * margin:  # the loss of less is not worth a word
             return ()
         return (describe_lost_margin(closest.pair or (), closest.distance, margin),)

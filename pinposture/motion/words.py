@@ -7,9 +7,8 @@ import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pinposture.motion.arrival import FULL
 from pinposture.placement.target import Moved
-from pinposture.units import error_text, length_text, number_text
+from pinposture.units import CONVERGED, error_text, length_text, number_text
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str]:
@@ -308,7 +307,7 @@ def _shares(summary: Mapping[str, Any]) -> dict[str, str]:
     for kind in ("speed", "acceleration", "jerk"):
         share = summary.get(f"largest_{kind}")
         if share is not None:
-            reached = ", which is reached" if FULL <= share <= 2.0 - FULL else ""
+            reached = ", which is reached" if abs(share - 1.0) <= CONVERGED else ""
             words[kind] = f"at most {100.0 * share:.4g} % of the limit{reached}"
     return words
 

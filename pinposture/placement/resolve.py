@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -69,20 +69,26 @@ STIFFNESS = {"smooth": 0.02, "closest": 1e-8}
 It is not zero for "closest" because some joints move no control point.
 """
 
-FAR = 0.1
-"""Largest shift of a curve's start and link distance from the curve without a warning, in arm lengths."""
+
+class PlacementTolerances(NamedTuple):
+    """How far points may be from where they should."""
+
+    far: float = 0.1
+    """Largest shift of a curve's start and link distance from the curve without a warning, in arm lengths."""
+
+    off_curve: float = 0.1
+    """Distance from the curve at which a control point counts as not placed, in lengths of its module, or of
+    the neighbouring modules bound to one plane (`Chain.spans`)."""
+
+    custom: float = 1e-7
+    """Tolerance of custom kinematics, in reaches of the module or radians."""
 
 
-OWN_TOLERANCE = 1e-7  # tolerance of custom kinematics, in reaches of the module or radians
-
+PLACING = PlacementTolerances()
 
 GENTLER = "use a gentler curve, wider joint limits or shorter modules"
 AT_THE_BASE = 'use placement="translate" or "align"'
 """Advice for a curve that bends too much, and for one that does not begin at the base."""
-
-OFF_CURVE = 0.1
-"""Distance from the curve at which a control point counts as not placed, in lengths of its module, or of the
-neighbouring modules bound to one plane (`Chain.spans`)."""
 
 
 def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = None) -> PlacedModules:
@@ -262,10 +268,10 @@ class Walk:
             p = base.rotation.T @ (np.asarray(self._curve.at(s)) - base.translation)
             for q in positions_for(kinematics, p):
                 away = float(np.linalg.norm(end_of(kinematics, q)[0] - p))
-                if away > OWN_TOLERANCE * kinematics.reach:
+                if away > PLACING.custom * kinematics.reach:
                     allowed = f"positions whose forward is the point; it is {length_text(away)} off"
                     raise InvalidValue(f"{name}.inverse(p)", q.tolist(), allowed)
-                if np.all((q >= lower - OWN_TOLERANCE) & (q <= upper + OWN_TOLERANCE)):
+                if np.all((q >= lower - PLACING.custom) & (q <= upper + PLACING.custom)):
                     return s, np.clip(q, lower, upper)
         return self._no_place(group, base, False)
 
@@ -403,7 +409,7 @@ def resolve_targets(
     require_whole("samples", samples, 2)
     as_number("roll", roll, "a finite angle [rad]", lambda x: True)
     placed, moved = place_curve(arm, curve, placement, roll)
-    if placement is None and moved.distance > FAR * arm.length:
+    if placement is None and moved.distance > PLACING.far * arm.length:
         warn_caller(far_moved(arm, "the curve", moved))
     result, used, fallback = _place(arm, placed, method, samples, near)
     if result.failure is not None and incomplete == "raise":
@@ -493,10 +499,14 @@ def _place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None) ->
 def _leaves_curve(arm: Arm, curve: Curve, placed: PlacedModules) -> str:
     """Return a message if links are far from a curve although the control points are on it, else ""."""
     q = arm.configuration(placed.positions)
-    if max(_link_lengths(arm, q)) / 2.0 <= FAR * arm.length:
+    if max(_link_lengths(arm, q)) / 2.0 <= PLACING.far * arm.length:
         return ""
     away = distance_from_curve(arm, q, curve)
-    return f"placed one by one, links would be {length_text(away)} off it" if away > FAR * arm.length else ""
+    return (
+        f"placed one by one, links would be {length_text(away)} off it"
+        if away > PLACING.far * arm.length
+        else ""
+    )
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
@@ -546,7 +556,7 @@ def _place_together(
     failure: TargetError | None = None
     over = np.flatnonzero(parameters > curve.length + ROUNDING * arm.length)
     spans = np.maximum(arm.chain.spans, arm.chain.module_lengths.mean())
-    off = np.flatnonzero(residual > OFF_CURVE * spans)
+    off = np.flatnonzero(residual > PLACING.off_curve * spans)
     bases = np.concatenate([[start], ends[:-1]])
     if len(over) and (not len(off) or over[0] <= off[0]):
         k = int(over[0])
@@ -582,10 +592,10 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
     if target.curve is None or target.q is None or target.residual is None:
         return
     between = max(_link_lengths(arm, target.q)) / 2.0  # no link is farther from both neighbouring points
-    if between + float(target.residual.max()) <= FAR * arm.length:
+    if between + float(target.residual.max()) <= PLACING.far * arm.length:
         return
     away = target.distance_from_curve(arm)
-    if away is None or away <= FAR * arm.length:
+    if away is None or away <= PLACING.far * arm.length:
         return
     fits = arm.can_follow(target.curve)
     reasons = [str(excess) for excess in fits.excesses[:2]]

@@ -473,7 +473,7 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
             faults.setdefault(fault, []).append(links_after[name].name)
     ball = f"a ball of {1e3 * INERTIA.ball_mass:g} g with a radius of {1e2 * INERTIA.ball_radius:g} cm"
     correction = {
-        "no mass": f"taken as {ball}; {REMEDY}",
+        "no mass": f"taken as {ball}; {REMEDY.masses}",
         "unphysical moments of inertia": "moments raised to the nearest physical ones",
     }
     messages = []

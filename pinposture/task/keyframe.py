@@ -31,7 +31,7 @@ from pinposture.kernels.arrays import LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem
 from pinposture.placement.module_kinematics import group_runs, is_compiled
-from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
+from pinposture.placement.resolve import METHODS, PLACEMENTS, PLACING, STIFFNESS, far_moved
 from pinposture.placement.target import beginning, fitting_slides, length_misfit
 from pinposture.schema import (
     Angle,
@@ -595,7 +595,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
         if (
             keyframe.placement is None
             and target.moved is not None
-            and target.moved.distance > FAR * arm.length
+            and target.moved.distance > PLACING.far * arm.length
         ):
             what = f"{title(keyframes, index)}: its curve"
             warn_caller(far_moved(arm, what, target.moved))

@@ -31,8 +31,6 @@ Coupling = Literal["full", "local", "relative"]
 
 NUMBERS: dict[Coupling, int] = {"full": FULL, "local": LOCAL, "relative": RELATIVE}
 
-COUPLINGS: tuple[Coupling, ...] = ("full", "local", "relative")
-
 
 @dataclass(frozen=True)
 class Projection:
@@ -71,7 +69,7 @@ class Projection:
         require_positive("threshold", self.threshold)
         object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("null_gain", self.null_gain, zero=True)
-        require_known("coupling", self.coupling, COUPLINGS)
+        require_known("coupling", self.coupling, NUMBERS)
         if self.section_sizes is not None:
             object.__setattr__(self, "section_sizes", checked_section_sizes(self.section_sizes))
 
