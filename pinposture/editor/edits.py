@@ -571,7 +571,7 @@ def removed(index: int) -> Edit:
 
 
 def reordered(index: int, to: int) -> Edit:
-    """Move a keyframe to another place in the order; holds and the gaps between places stay."""
+    """Move a keyframe to another position in the order; holds and the gaps between positions stay."""
 
     def edit(task: Task) -> Task:
         keyframes = list_keyframes(task, index)
@@ -629,7 +629,7 @@ def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = No
     Args:
         name: of the obstacle.
         obstacle: the obstacle; None to remove it.
-        instead: the name that it had; the obstacle keeps its place in the order.
+        instead: the name that it had; the obstacle keeps its position in the order.
     """
 
     def edit(task: Task) -> Task:

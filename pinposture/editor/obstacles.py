@@ -26,7 +26,7 @@ from pinposture.viz.body import surface
 Array = NDArray[np.float64]
 Change: TypeAlias = Callable[[Obstacle], Obstacle]
 
-COORDINATE_DIGITS = 6  # of places and sizes that come from the mouse [m]
+COORDINATE_DIGITS = 6  # of positions and sizes that come from the mouse [m]
 
 
 # Relative to the length of the arm:
@@ -104,7 +104,7 @@ class SizeHandle(NamedTuple):
     """A handle that changes the size of an obstacle."""
 
     name: str  # "x", "y", "z", "radius", "start", "end" or "height"
-    place: Array  # where it is, (3,) [m], world frame
+    position: Array  # where it is, (3,) [m], world frame
 
 
 def at_pose(obstacle: Obstacle, pose: pin.SE3, scale: ArmScale) -> Obstacle:
@@ -138,7 +138,7 @@ def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
 
 
 def _rounded(obstacle: Obstacle, digits: int = COORDINATE_DIGITS) -> Obstacle:
-    """Return an obstacle with rounded places, and directions without traces of rounding."""
+    """Return an obstacle with rounded positions, and directions without traces of rounding."""
     changes: dict[str, Any] = {}
     for name in (*POSITIONS, *DIRECTIONS):
         if hasattr(obstacle, name):
@@ -163,25 +163,25 @@ def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
     for name in obstacle.handles:
         if name == "height":
             foot = pose.translation - HANDLING.half_space_offset * scale.length * pose.rotation[:, 0]
-            place = foot + scale.gap * pose.rotation[:, 2]
+            position = foot + scale.gap * pose.rotation[:, 2]
         elif name in ("start", "end"):
             sign = -1.0 if name == "start" else 1.0
-            place = getattr(own, name) + sign * (scale.gap + own.cap) * pose.rotation[:, 2]
+            position = getattr(own, name) + sign * (scale.gap + own.cap) * pose.rotation[:, 2]
         else:
             axis = 0 if name == "radius" else "xyz".index(name)
             out = own.radius if name == "radius" else 0.5 * own.size[axis]
-            place = pose.translation - (out + scale.gap) * pose.rotation[:, axis]
-        handles.append(SizeHandle(name, place))
+            position = pose.translation - (out + scale.gap) * pose.rotation[:, axis]
+        handles.append(SizeHandle(name, position))
     return tuple(handles)
 
 
-def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) -> Obstacle:
-    """Return an obstacle with one of its handles at another place, or as near to it as possible.
+def resized(obstacle: Obstacle, handle: str, position: ArrayLike, scale: ArmScale) -> Obstacle:
+    """Return an obstacle with one of its handles at another position, or as near to it as possible.
 
     Args:
         obstacle: the obstacle.
         handle: name of the handle.
-        place: where it is dragged, (3,) [m], world frame.
+        position: where it is dragged, (3,) [m], world frame.
         scale: that of the arm.
 
     Raises:
@@ -191,7 +191,7 @@ def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) 
     gap = scale.gap
     least = scale.least
     own: Any = obstacle
-    off = np.asarray(place, dtype=np.float64) - pose.translation
+    off = np.asarray(position, dtype=np.float64) - pose.translation
     if handle == "height":
         height = float(off @ pose.rotation[:, 2]) - gap
         return _rounded(own.changed(point=pose.translation + height * pose.rotation[:, 2]))
@@ -200,7 +200,7 @@ def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) 
         return own.changed(radius=round(radius, COORDINATE_DIGITS))  # type: ignore[no-any-return]
     if handle in ("start", "end"):
         fixed = np.array(own.end if handle == "start" else own.start)
-        axis_vector = np.asarray(place, dtype=np.float64) - fixed
+        axis_vector = np.asarray(position, dtype=np.float64) - fixed
         length = float(np.linalg.norm(axis_vector))
         sign = -1.0 if handle == "start" else 1.0
         direction = axis_vector / length if length > least else sign * pose.rotation[:, 2]
@@ -232,7 +232,7 @@ def new_obstacle_kinds() -> tuple[str, ...]:
 def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obstacle:
     """Return an obstacle of suitable size, where neither the arm nor another obstacle is.
 
-    Where there is no such place it is put as far from the arm as was tried.
+    Where there is no such position it is put as far from the arm as was tried.
 
     Args:
         kind: one of `new_obstacle_kinds()`.
@@ -254,7 +254,7 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
     axis = np.cross(*arm.plane) if arm.dimension == 2 else up
     size = round(NEW.size * arm.length, COORDINATE_DIGITS)
     tried: list[tuple[float, Obstacle]] = []
-    for center in _candidate_places(arm, path, up):
+    for center in _candidate_positions(arm, path, up):
         obstacle: Obstacle = OBSTACLE_TYPES[kind].of_size(_as_vector(center), axis, size)
         radius = bounding_radius(obstacle, ArmScale.of(arm))
         room = float(np.linalg.norm(path - center, axis=1).min()) - radius
@@ -265,8 +265,8 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
     return max(tried, key=lambda option: option[0])[1]
 
 
-def _candidate_places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
-    """Yield places beside the arm, near ones first."""
+def _candidate_positions(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
+    """Yield positions beside the arm, near ones first."""
     ahead = path[-1] - path[0]
     if float(np.linalg.norm(ahead)) < 1e-3 * arm.length:  # it is closed to a ring
         ahead = arm.plane[0]
@@ -297,8 +297,8 @@ def _is_free(scene: Scene | None, center: Array, radius: float) -> bool:
     return scene is None or not obstacles_near(scene, center, radius, within=0.0)
 
 
-def _as_vector(place: Array) -> Vector:
-    x, y, z = (round(float(coordinate), COORDINATE_DIGITS) for coordinate in place)
+def _as_vector(position: Array) -> Vector:
+    x, y, z = (round(float(coordinate), COORDINATE_DIGITS) for coordinate in position)
     return x, y, z
 
 
@@ -363,7 +363,7 @@ def delete_obstacle(session: Session) -> None:
 
 
 def rename_obstacle(name: str, to: str, session: Session) -> None:
-    """Rename an obstacle; it keeps its place in the order."""
+    """Rename an obstacle; it keeps its position in the order."""
     obstacle = obstacles_of(session.task).get(name)
     to = to.strip()
     if obstacle is None or to == name:

@@ -22,7 +22,7 @@ REACH_BUDGET = 1.0  # of the search on release, if no clear posture is close [s]
 def drag_tip(
     position: Array, start: Array, final: bool, session: Session, keyframe: int | None = None
 ) -> None:
-    """Propose the shape of a clear posture that has the tip at a place; a taught keyframe stays one.
+    """Propose the shape of a clear posture that has the tip at a point; a taught keyframe stays one.
 
     During a drag only a posture close to the present one is searched for; where there is none, the arm stays
     at the last one. On release, others are tried, too.

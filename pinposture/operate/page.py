@@ -222,13 +222,13 @@ class CurveHandles:
             self._drags.append(Drag(self._do, ball, partial(self._ask, number), moves=True))
 
     def _ask(self, number: int, drag: Drag) -> Any:
-        return partial(self._move, number, drag.place)
+        return partial(self._move, number, drag.position)
 
     def _do(self, request: Any, _: str) -> None:
         request()
 
     def _move(self, number: int, position: Array) -> None:
-        """Move a control point to a place, (3,) [m], and have the way planned."""
+        """Move a control point to a position, (3,) [m], and have the way planned."""
         if self._curve is None:
             return
         points = self._curve.points.copy()

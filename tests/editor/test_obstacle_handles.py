@@ -90,7 +90,7 @@ def test_an_obstacle_put_where_it_is_stays(obstacle):
 def test_a_handle_put_where_it_is_changes_nothing(obstacle):
     points = np.random.default_rng(0).uniform(-3, 3, (40, 3))
     for grip in size_handles(obstacle, MEASURES):
-        same = resized(obstacle, grip.name, grip.place, MEASURES)
+        same = resized(obstacle, grip.name, grip.position, MEASURES)
         np.testing.assert_allclose(
             signed_distance(same, points), signed_distance(obstacle, points), atol=10 * ROUNDING
         )
@@ -99,7 +99,7 @@ def test_a_handle_put_where_it_is_changes_nothing(obstacle):
 @given(obstacles())
 @examples(100)
 def test_handles_are_outside_by_the_gap(obstacle):
-    places = np.array([grip.place for grip in size_handles(obstacle, MEASURES)]).reshape(-1, 3)
+    places = np.array([grip.position for grip in size_handles(obstacle, MEASURES)]).reshape(-1, 3)
     np.testing.assert_allclose(signed_distance(obstacle, places), MEASURES.gap, atol=1e-9)
 
 
@@ -114,10 +114,10 @@ def test_a_handle_follows_the_hand_along_its_axis(obstacle, by):
             out = (1.0 if grip.name == "end" else -1.0) * pose.rotation[:, 2]
         else:
             out = -pose.rotation[:, "xyz".index(grip.name) if grip.name in "xyz" else 0]
-        there = grip.place + by * out
+        there = grip.position + by * out
         after = size_handles(resized(obstacle, grip.name, there, MEASURES), MEASURES)[k]
         assert after.name == grip.name
-        gone = after.place - there
+        gone = after.position - there
         # the axes about the only axis of a cylinder may turn with its rounding: height is what counts
         assert abs(gone @ out) < 20 * ROUNDING
 

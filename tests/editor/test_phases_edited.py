@@ -262,10 +262,10 @@ def test_all_phases_are_performed_and_stand_on_the_timeline(file: Path) -> None:
     playback.motion = motion
     duration, drawn = _schedule(session.task, playback)
     assert duration == motion.time[-1]
-    assert [each.place.keyframe for each in drawn] == [0, 1]
+    assert [each.at.keyframe for each in drawn] == [0, 1]
     places = {place.name: place.reached for place in motion.waypoints}
-    assert drawn[0].place.time == pytest.approx(places["in: inside"], abs=0.05)
-    assert drawn[1].place.time == pytest.approx(places["turn: left"])
+    assert drawn[0].at.time == pytest.approx(places["in: inside"], abs=0.05)
+    assert drawn[1].at.time == pytest.approx(places["turn: left"])
 
 
 @pytest.mark.long
@@ -277,7 +277,7 @@ def test_keyframes_of_phases_that_are_not_reached_stay_on_the_timeline(file: Pat
         phase = editable(task, index)
         duration, drawn = _schedule(phase, SimpleNamespace(motion=whole, lasting=float(whole.time[-1])))
         assert [each.reached for each in drawn] == [index == 0, False]
-        times = [each.place.time for each in drawn]
+        times = [each.at.time for each in drawn]
         assert 0.0 <= times[0] < times[1] <= duration
         assert times[1] - times[0] == pytest.approx(passes_of(phase)[1].time, abs=0.1)
 

@@ -191,10 +191,10 @@ def test_keyframes_that_a_motion_does_not_reach_stay_on_the_timeline() -> None:
         motion = task.perform(progress=lambda seconds, _, until=until: seconds >= until)
         assert motion.run.status == "stopped"
         duration, drawn = _schedule(task, SimpleNamespace(motion=motion, lasting=float(motion.time[-1])))
-        assert [(each.place.keyframe, each.reached) for each in drawn] == [(0, True), (1, False)]
+        assert [(each.at.keyframe, each.reached) for each in drawn] == [(0, True), (1, False)]
         left = 1.0 - motion.plan_time[-1]  # of the plan, when it ended
-        assert drawn[1].place.time == pytest.approx(motion.time[-1] + left)
-        assert duration >= drawn[1].place.time
+        assert drawn[1].at.time == pytest.approx(motion.time[-1] + left)
+        assert duration >= drawn[1].at.time
         lost = replace(motion, waypoints=motion.waypoints[:1])
         assert _schedule(task, SimpleNamespace(motion=lost, lasting=float(motion.time[-1])))[1] == drawn
     missed = replace(moved(), waypoints=tuple(each._replace(missed=True) for each in moved().waypoints))

@@ -486,12 +486,12 @@ def test_the_tip_is_brought_to_a_place_that_is_typed(arm, server, desk):
     session.select(1)
     hold_tip(session)
     tab.show(session, here)
-    place = tab._place.control
+    place = tab._coordinates.control
     assert not place.disabled
     np.testing.assert_allclose(1e-3 * np.array(place.value), here.state.points[-1], atol=1e-4)
     goal = here.state.points[-1] + [0.0, 0.01, 0.005]
-    tab._place._type(tuple(1e3 * goal))
+    tab._coordinates._type(tuple(1e3 * goal))
     assert session.proposal is None
-    tab._place.finish()
+    tab._coordinates.finish()
     taken = edits.configuration_of(arm, edits.keyframes_of(session.shown)[1])
     np.testing.assert_allclose(arm.at(taken).points[-1], goal, atol=1e-4)

@@ -107,7 +107,7 @@ def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
 
 
 def needed_part(arm: Arm, keyframe: Keyframe) -> Array:
-    """Return places along the part of a curve that the arm needs, (CURVE.other_pieces + 1, 3) [m]."""
+    """Return points along the part of a curve that the arm needs, (CURVE.other_pieces + 1, 3) [m]."""
     laid = drawn_curve(arm, keyframe)
     end = min(laid.length, required_length(arm))
     return np.asarray(laid.at(np.linspace(0.0, end, CURVE.other_pieces + 1)))
@@ -130,8 +130,8 @@ class CurveDrawing:
         self._shown = key
         curve = shape.curve if len(shape.points) else drawn_curve(session.arm, session.keyframe)
         along = np.linspace(0.0, curve.length, CURVE.pieces + 1)
-        places = np.asarray(curve.at(along))
-        self._line.points = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
+        points = np.asarray(curve.at(along))
+        self._line.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         if verdict is not None:
             self._line.colors = _curve_colors(curve, along, live)
 
@@ -299,7 +299,7 @@ class Handles:
         return Drag(self._post, node, ask, lambda: self._keyframe, moves=True)
 
     def _move(self, index: int, drag: Drag) -> Request:
-        return partial(move_point, index, drag.place, drag.ended, keyframe=drag.keyframe)
+        return partial(move_point, index, drag.position, drag.ended, keyframe=drag.keyframe)
 
 
 class TipHandle:
@@ -320,7 +320,7 @@ class TipHandle:
         put(self._axes, visible=session.tip)
 
     def _ask(self, drag: Drag) -> Request:
-        return partial(drag_tip, drag.place, self._start, drag.ended, keyframe=drag.keyframe)
+        return partial(drag_tip, drag.position, self._start, drag.ended, keyframe=drag.keyframe)
 
 
 class Points:
@@ -426,7 +426,7 @@ class ShapeTab:
         self._index = 0
         self._keyframe = 0
         self._start = arm.straight()
-        self._tip_place = np.zeros(3)
+        self._tip_position = np.zeros(3)
         hint = "Or click on one in the picture; Shift and a click selects several"
         self._taught = gui.add_markdown(
             "A taught configuration has no control points. *Keyframes*, *To curve* draws a curve through it.",
@@ -450,11 +450,11 @@ class ShapeTab:
         )
         digits = coordinate_digits(arm.length)
         hint = "World frame; of the control point, or of the tip while it is selected"
-        place = gui.add_vector3("x, y, z [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, hint=hint)
-        place.precision = digits
-        self._place = bind(
-            place,
-            self._place_of,
+        coordinates = gui.add_vector3("x, y, z [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, hint=hint)
+        coordinates.precision = digits
+        self._coordinates = bind(
+            coordinates,
+            self._position_of,
             partial(self._move, True),
             preview=partial(self._move, False),
             unit=MILLIMETRE,
@@ -489,32 +489,32 @@ class ShapeTab:
             self._point.control.options = names
         self._point.show(session)
         self._start = live.state.q
-        self._tip_place = live.state.points[-1]
+        self._tip_position = live.state.points[-1]
         index = TIP if session.tip else session.handle
         if index is not None and (index, session.selected) != (self._index, self._keyframe):
-            self._place.finish()  # it was meant for the one before
+            self._coordinates.finish()  # it was meant for the one before
             self._index = index
             self._keyframe = session.selected
-        self._place.show(session, disabled=index == 0)
+        self._coordinates.show(session, disabled=index == 0)
         self._snap.show(session)
 
-    def _place_of(self, session: Session) -> Array | None:
+    def _position_of(self, session: Session) -> Array | None:
         if session.tip:
-            return self._tip_place
+            return self._tip_position
         return None if session.handle is None else np.asarray(session.shape.points[session.handle])
 
-    def _move(self, final: bool, place: tuple[float, float, float]) -> Request | None:
+    def _move(self, final: bool, position: tuple[float, float, float]) -> Request | None:
         index = self._index
         keyframe = self._keyframe
         if index == TIP:
             # A tip that follows each key would swing about.
-            tip = partial(drag_tip, np.array(place), self._start, final, keyframe=keyframe)
+            tip = partial(drag_tip, np.array(position), self._start, final, keyframe=keyframe)
             return tip if final else None
 
         def request(session: Session) -> None:
             if session.selected == keyframe:
                 chosen = session.handles  # perhaps others by now
-                move_point(index, np.array(place), final, session, snap=False)
+                move_point(index, np.array(position), final, session, snap=False)
                 session.handles = chosen
 
         return request

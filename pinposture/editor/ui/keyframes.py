@@ -202,11 +202,11 @@ def delete(session: Session) -> None:
     session.edit(edits.removed(index), f"deleted keyframe {index + 1}", select=max(index - 1, 0))
 
 
-def move(places: int, session: Session) -> None:
-    """Move the selected keyframe to an earlier or later place."""
+def move(by: int, session: Session) -> None:
+    """Move the selected keyframe to an earlier or later position."""
     index = session.selected
-    to = session.selected + places
-    session.edit(edits.reordered(index, to), f"moved keyframe {index + 1} to place {to + 1}", select=to)
+    to = session.selected + by
+    session.edit(edits.reordered(index, to), f"moved keyframe {index + 1} to position {to + 1}", select=to)
 
 
 ACTIONS = {"Add": add, "Delete": delete, "Earlier": partial(move, -1), "Later": partial(move, 1)}

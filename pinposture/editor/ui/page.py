@@ -360,7 +360,7 @@ class Viewpoint(NamedTuple):
     """The initial camera."""
 
     position: Array  # (3,) [m], world frame
-    look_at: Array  # the place in the middle of the picture, (3,) [m], world frame
+    look_at: Array  # the point in the middle of the picture, (3,) [m], world frame
     opening: float  # angle from the bottom of the picture to its top [rad]
 
 

@@ -119,7 +119,7 @@ def put(handle: Any, **values: Any) -> None:
 
 
 def put_at(handle: Any, position: Array, tolerance: float = 1e-7) -> None:
-    """Move a node to a place, (3,) [m], unless it is within a tolerance [m] of it."""
+    """Move a node to a position, (3,) [m], unless it is within a tolerance [m] of it."""
     if not np.allclose(handle.position, position, atol=tolerance):
         handle.position = position
 
@@ -127,7 +127,7 @@ def put_at(handle: Any, position: Array, tolerance: float = 1e-7) -> None:
 def add_lines(
     server: viser.ViserServer, name: str, count: int, thickness: float, visible: bool = True
 ) -> viser.LineSegmentsHandle:
-    """Add straight pieces of a thickness [m], whose places and colours are set later."""
+    """Add straight pieces of a thickness [m], whose positions and colours are set later."""
     points = np.zeros((count, 2, 3))
     colors = np.zeros((count, 2, 3), dtype=np.uint8)
     return server.scene.add_line_segments(name, points, colors, thickness=thickness, visible=visible)
@@ -155,7 +155,7 @@ class Drag:
     Attributes:
         held: whether a user holds it; until the end, the loop does not move axes, nor what moves at once.
         start: where the node was when the drag began, (3,) [m].
-        place: where it is dragged to, (3,) [m].
+        position: where it is dragged to, (3,) [m].
         ended: whether the drag has ended.
         keyframe: index of the keyframe that was selected when the drag began.
 
@@ -177,7 +177,7 @@ class Drag:
     ) -> None:
         self.held = False
         self.start = np.zeros(3)
-        self.place = np.zeros(3)
+        self.position = np.zeros(3)
         self.ended = False
         self.keyframe = -1
         self._grip = np.zeros(3)  # where the mouse took hold
@@ -196,14 +196,14 @@ class Drag:
         if event.phase == "start" or not self.held:
             self._begin()
             self._grip = np.asarray(event.start_position)
-        place = self.start + (np.asarray(event.end_position) - self._grip)
+        position = self.start + (np.asarray(event.end_position) - self._grip)
         if self._moves:
             try:
-                self._node.position = place
+                self._node.position = position
             except RuntimeError:  # the node has been removed, and perhaps the arm with it
                 self.held = False
                 return
-        self._go(place, event.phase == "end")
+        self._go(position, event.phase == "end")
 
     async def by_axes(self, event: Any) -> None:
         """Take a move of the axes; viser calls it."""
@@ -219,9 +219,9 @@ class Drag:
         self.start = np.array(self._node.position)
         self.keyframe = self._selected()
 
-    def _go(self, place: Array, ended: bool) -> None:
+    def _go(self, position: Array, ended: bool) -> None:
         self.held = not ended
-        self.place = place
+        self.position = position
         self.ended = ended
         self._post(self._ask(self), "" if ended else f"drag {id(self)}")
 

@@ -125,7 +125,7 @@ class PhasePlanner:
             session: the session.
 
         Raises:
-            TaskError: it is the only one, or there is no place to move it to.
+            TaskError: it is the only one, or there is no position to move it to.
             PostureError: phases that a task cannot have in this order.
         """
         task = session.task
@@ -147,7 +147,7 @@ class PhasePlanner:
             if not 0 <= to <= len(phases):
                 raise TaskError(title, f"is the {'last' if to > 0 else 'first'} one already")
             phases.insert(to, phase)
-            what = f"moved {title} to place {to + 1}"
+            what = f"moved {title} to position {to + 1}"
         if not phases:
             raise TaskError(title, "is the only one, and cannot be deleted")
         self._show(session, task.whole.edited(motion=tuple(phases)), to, what)
@@ -246,10 +246,10 @@ class PhaseControls:
         )
         self._point = gui.add_dropdown("Path point", ("1",), visible=False, hint="Control point of the path")
         digits = coordinate_digits(arm.length)
-        place = gui.add_vector3("Point [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, visible=False)
-        place.precision = digits
-        self._place = bind(place, self._place_of, self._move_point, unit=MILLIMETRE)
-        on_change(self._point, lambda _: self._place.finish())
+        coordinates = gui.add_vector3("Point [mm]", (0.0, 0.0, 0.0), step=10.0**-digits, visible=False)
+        coordinates.precision = digits
+        self._coordinates = bind(coordinates, self._position_of, self._move_point, unit=MILLIMETRE)
+        on_change(self._point, lambda _: self._coordinates.finish())
 
     def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
@@ -261,14 +261,14 @@ class PhaseControls:
                 self._choice.control.options = options
             if task.index != self._index:
                 self._index = task.index
-                for field in (self._name, self._place, *self._fields):
+                for field in (self._name, self._coordinates, *self._fields):
                     field.forget()  # it was meant for the phase before
         points = path_points(session)
         put(self._point, visible=points is not None)
         names = tuple(str(number) for number in range(1, len(() if points is None else points) + 1))
         if names and tuple(self._point.options) != names:
             self._point.options = names
-        for field in (self._choice, self._name, *self._fields, self._place):
+        for field in (self._choice, self._name, *self._fields, self._coordinates):
             field.show(session)
 
     def _set(self, key: str, value: Any) -> Request:
@@ -284,12 +284,12 @@ class PhaseControls:
     def _change(self, values: dict[str, Any], what: str) -> Request:
         return partial(self._planner.change, values, what)
 
-    def _place_of(self, session: Session) -> Array | None:
+    def _position_of(self, session: Session) -> Array | None:
         points = path_points(session)
         return None if points is None else np.asarray(points[int(self._point.value) - 1])
 
-    def _move_point(self, place: tuple[float, float, float]) -> Request:
-        return partial(move_path_point, self._planner, int(self._point.value) - 1, place)
+    def _move_point(self, position: tuple[float, float, float]) -> Request:
+        return partial(move_path_point, self._planner, int(self._point.value) - 1, position)
 
 
 def motion_of(session: Session) -> Any:
@@ -322,16 +322,16 @@ def _name_of(session: Session) -> str | None:
 
 
 def move_path_point(
-    planner: PhasePlanner, index: int, place: tuple[float, float, float], session: Session
+    planner: PhasePlanner, index: int, position: tuple[float, float, float], session: Session
 ) -> None:
-    """Move a control point of the path of a leader, 0-based, to a place (3,) [m]."""
+    """Move a control point of the path of a leader, 0-based, to a position (3,) [m]."""
     task = session.task
     motion = task.phases[task.index].motion if isinstance(task, EditedPhase) else None
     if not isinstance(motion, Leader) or motion.path.control_points is None:
         return
     points = np.array(motion.path.control_points)
     if index < len(points):
-        points[index] = place
+        points[index] = position
         path = Curve.spline(points, motion.path.degree)
         planner.change({"path": path}, f"point {index + 1} of the path moved", session)
 
@@ -367,11 +367,11 @@ class PhaseDrawing:
         put(self._goal, visible=goal is not None)
         put(self._label, visible=path is not None or goal is not None)
         if path is not None:
-            places = np.asarray(path.at(np.linspace(0.0, path.length, PHASE.path_pieces + 1)))
-            self._line.points = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
+            points = np.asarray(path.at(np.linspace(0.0, path.length, PHASE.path_pieces + 1)))
+            self._line.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
             self._line.colors = np.full((PHASE.path_pieces, 2, 3), color(PHASE.path_color), dtype=np.uint8)
             put(self._label, text="path of the tip")
-            put_at(self._label, places[-1])
+            put_at(self._label, points[-1])
         elif goal is not None:
             put_at(self._goal, goal)
             put(self._label, text="goal of the tip")

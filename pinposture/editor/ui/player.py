@@ -514,7 +514,7 @@ class TimeAxis:
         if what == "seek":
             seek(at, session)
         elif 0 <= index < len(self._passes):
-            keyframe, _, before = self._passes[index].place
+            keyframe, _, before = self._passes[index].at
             if what == "select":
                 session.select(keyframe)
             elif what == "move" and keyframe < len(keyframes_of(session.task)):
@@ -622,7 +622,7 @@ def _labels(playback: Playback) -> tuple[str, ...]:
 class DrawnPass(NamedTuple):
     """A keyframe on the timeline."""
 
-    place: Pass
+    at: Pass
     reached: bool  # false if the motion that is shown does not reach it, or misses it
 
 
@@ -636,42 +636,46 @@ def _schedule(task: Task, playback: Playback) -> tuple[float, list[DrawnPass]]:
     if motion is None:
         duration = passes[-1].time + keyframes_of(task)[-1].hold
         return duration, [DrawnPass(one, True) for one in passes[: TIMELINE.most_drawn]]
-    places = list(motion.waypoints)
+    waypoints = list(motion.waypoints)
     begins = 0.0
     if isinstance(task, EditedPhase):
-        places = _places_of_phase(task, motion)
+        waypoints = _waypoints_of_phase(task, motion)
         begins = task.begins
     drawn = [
-        _where_reached(motion, each, place, begins)
-        for each, place in zip_longest(passes, places[: len(passes)])
+        _where_reached(motion, each, waypoint, begins)
+        for each, waypoint in zip_longest(passes, waypoints[: len(passes)])
     ]
-    return max(playback.lasting, *(one.place.time for one in drawn)), drawn[: TIMELINE.most_drawn]
+    return max(playback.lasting, *(one.at.time for one in drawn)), drawn[: TIMELINE.most_drawn]
 
 
-def _where_reached(motion: Trajectory, each: Pass, place: WaypointResult | None, begins: float) -> DrawnPass:
+def _where_reached(
+    motion: Trajectory, each: Pass, waypoint: WaypointResult | None, begins: float
+) -> DrawnPass:
     """Place a keyframe where the motion reaches it, or behind the end of a motion that ends before it.
 
     Args:
         motion: the motion.
         each: the keyframe.
-        place: its place in the motion; None if the motion has none.
+        waypoint: its waypoint in the motion; None if the motion has none.
         begins: planned time at which the times of keyframes begin [s].
     """
-    if place is not None and place.row is not None:
-        return DrawnPass(each._replace(time=float(motion.time[place.row])), not place.missed)
-    planned = begins + each.time if place is None else place.planned
+    if waypoint is not None and waypoint.row is not None:
+        return DrawnPass(each._replace(time=float(motion.time[waypoint.row])), not waypoint.missed)
+    planned = begins + each.time if waypoint is None else waypoint.planned
     left = max(planned - float(motion.plan_time[-1]), 0.0)
     return DrawnPass(each._replace(time=float(motion.time[-1]) + left), False)
 
 
-def _places_of_phase(task: EditedPhase, motion: Trajectory) -> list[WaypointResult]:
-    """Return the places of the keyframes of a phase in the motion of all phases."""
+def _waypoints_of_phase(task: EditedPhase, motion: Trajectory) -> list[WaypointResult]:
+    """Return the waypoints of the keyframes of a phase in the motion of all phases."""
     least = task.begins + TIMES.tolerance * (-1.0 if task.begin is None else 1.0)
-    places = [place for place in motion.waypoints if place.planned > least]
+    waypoints = [waypoint for waypoint in motion.waypoints if waypoint.planned > least]
     if task.end is not None:  # its last posture: of several on its way, the last one
-        places = [place for place in places if place.planned <= task.ends + TIMES.tolerance][-1:]
+        waypoints = [waypoint for waypoint in waypoints if waypoint.planned <= task.ends + TIMES.tolerance][
+            -1:
+        ]
     if task.begin is not None:
         row = int(np.searchsorted(motion.plan_time, task.begins))
         begin = WaypointResult("", task.begins, None, row if row <= motion.steps else None, None)
-        places.insert(0, begin)
-    return places
+        waypoints.insert(0, begin)
+    return waypoints

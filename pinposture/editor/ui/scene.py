@@ -315,7 +315,7 @@ class Obstacles:
         handles = () if selected is None else obstacles.size_handles(selected, self._scale)
         for index, ball in enumerate(self._balls):
             if index < len(handles):
-                put_at(ball, handles[index].place, 1e-9)
+                put_at(ball, handles[index].position, 1e-9)
             put(ball, visible=index < len(handles))
 
     def _draw(self, name: str, obstacle: Obstacle, opacity: float, selected: bool) -> None:
@@ -398,21 +398,21 @@ class Obstacles:
         self._post(partial(obstacles.select_obstacle, name))
 
     def _move(self, name: str, drag: Drag) -> Request:
-        change = partial(obstacles.moved, shift=drag.place - drag.start)
+        change = partial(obstacles.moved, shift=drag.position - drag.start)
         return partial(obstacles.change_obstacle, name, change, f"moved {name}", drag.ended)
 
     def _resize(self, index: int, drag: Drag) -> Request:
-        place = drag.place
+        position = drag.position
         scale = self._scale
 
         def change(obstacle: Obstacle) -> Obstacle:
             handle = obstacles.size_handles(obstacle, scale)[index]
-            return obstacles.resized(obstacle, handle.name, place, scale)
+            return obstacles.resized(obstacle, handle.name, position, scale)
 
         return partial(obstacles.change_obstacle, self._name, change, f"resized {self._name}", drag.ended)
 
     def _move_by_axes(self, drag: Drag) -> Request:
-        pose = pin.SE3(_matrix(self._axes.wxyz), drag.place)
+        pose = pin.SE3(_matrix(self._axes.wxyz), drag.position)
         change = partial(obstacles.at_pose, pose=pose, scale=self._scale)
         return partial(obstacles.change_obstacle, self._name, change, f"moved {self._name}", drag.ended)
 
@@ -457,11 +457,11 @@ class ClearanceLine:
         self._shown = nearest
         visible = nearest is not None and nearest.distance < self._max_length
         if nearest is not None and visible:
-            places = np.array([nearest.on_arm, nearest.on_other])
-            self._line.points = places[None].astype(np.float32)
+            points = np.array([nearest.on_arm, nearest.on_other])
+            self._line.points = points[None].astype(np.float32)
             shade = color(CLEARANCE_COLORS[nearest.level])
             self._line.colors = np.array([[shade, shade]], dtype=np.uint8)
-            for ball, end in zip(self._ends, places, strict=True):
+            for ball, end in zip(self._ends, points, strict=True):
                 ball.position = end
                 ball.color = shade
         for node in (self._line, *self._ends):
@@ -578,8 +578,8 @@ class SceneTab:
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
-        places = [live.state.points] if live.target is None else [live.state.points, live.target.points[::-1]]
-        self._points = np.vstack(places)
+        points = [live.state.points] if live.target is None else [live.state.points, live.target.points[::-1]]
+        self._points = np.vstack(points)
         names = ("none", *obstacles.obstacles_of(session.shown))
         if tuple(self._chosen.control.options) != names:
             self._chosen.control.options = names

@@ -74,7 +74,7 @@ def test_a_box_is_put_there_dragged_and_resized(edit: Edit, look: Look, file: Pa
     arrived(editor)
     grip = size_handles(second, ArmScale.of(session.arm))[2]
     wait_until(lambda: window.says("moved box_1"), "it is over")
-    window.drag(grip.place, grip.place - [0.0, 0.0, 0.06])
+    window.drag(grip.position, grip.position - [0.0, 0.0, 0.06])
     window.drop()
     wait_until(lambda: session.history.undoable == "resized box_1", "it counts")
     third = obstacles_of(session.task)["box_1"]
