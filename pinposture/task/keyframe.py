@@ -746,11 +746,11 @@ class RowCosts(NamedTuple):
 
     viscosity: float = 3e-3
     """Cost of joint motion from one keyframe to the next relative to that of distances: root of the ratio,
-    for `TYPICAL_ROWS` rows. It restrains joints that hardly change the shape, such as those that roll a
+    for `typical_rows` rows. It restrains joints that hardly change the shape, such as those that roll a
     nearly straight arm; others lag behind by a negligible amount."""
 
     typical_rows: int = 400
-    """Rows from one keyframe to the next for which `VISCOSITY` is given."""
+    """Rows from one keyframe to the next for which `viscosity` is given."""
 
 
 ROW_COSTS = RowCosts()

@@ -69,7 +69,7 @@ class PerformSettings(NamedTuple):
     extra."""
 
     waypoint_share: float = 0.6
-    """Share of `MAX_MEAN_LAG` by which a jerk limit may lead the arm past a waypoint."""
+    """Share of `max_mean_lag` by which a jerk limit may lead the arm past a waypoint."""
 
     max_slowdowns: int = 10
     slowdown_margin: float = 1.02
