@@ -704,7 +704,7 @@ class _Candidates:
 
 def _possible_clearance(avoidance: Avoidance, state: ChainState, goal: ChainState) -> float:
     """Return the margin, or the clearance of an end of the path if that is smaller [m]."""
-    ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
+    ends = [avoidance.clearance.minimum_at(at).distance for at in (goal, state)]  # that of the goal is known
     return min(avoidance.margin, *ends) - 1e-9 * state.arm.length
 
 
