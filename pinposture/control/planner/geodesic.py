@@ -39,6 +39,7 @@ from pinposture.control.planner.plan import (
     PlanNeeded,
     find_path,
     is_small_change,
+    known_goal,
     repair,
     replan,
     short_path,
@@ -224,10 +225,15 @@ class Geodesic:
         """Return the progress to the same target, on another path if the arm makes none on this one."""
         progress = self._renewed(progress)  # which needs no new path
         cut = False
+        changes = self.scene is not None and self.scene.moving
         if self.scene is not None and not self.scene.has_maps_of(progress.path.scene):
+            changes = True
             was_blocked = bool(progress.path.blocked_by)
             progress = progress.among(self.scene)
             cut = not (was_blocked or progress.arrived or self._is_clear_of_maps(now, progress))
+        if changes and self._has_free_goal(now, progress):
+            path = self._find_path(self._problem(progress.objective, now.state, now.bounds))
+            return PathProgress.begin(timed_again(path, now.limits, effort=progress.timed.effort))
         if not cut and (progress.idle_travel < GEODESIC.most_idle_travel or progress.arrived):
             return _within(progress, now)
         attempt = progress.path.attempt + 1
@@ -239,6 +245,20 @@ class Geodesic:
         rest = None if progress.path.blocked_by else _rest(progress, now.state)
         path = self._find_path(problem, attempt, rest)
         return PathProgress.begin(timed_again(path, now.limits, effort=progress.timed.effort))
+
+    def _has_free_goal(self, now: _Situation, progress: PathProgress) -> bool:
+        """Whether the path leads elsewhere than to the target posture, which the arm can take by now."""
+        path = progress.path
+        if path.blocked_by or path.objective.tasks:
+            return False
+        arm = now.state.arm
+        end = arm.integrate(path.start, path.offsets[-1])
+        goal = known_goal(path.objective, now.bounds.position_limits, end)
+        avoidance = now.avoidance(progress)
+        if goal is None or avoidance is None:
+            return False
+        away = np.abs(path.objective.normalize(arm.difference(end, goal.q))).max()
+        return bool(away > FOLLOWING.most_deviation) and avoidance.allows(goal)
 
     def _is_clear_of_maps(self, now: _Situation, progress: PathProgress) -> bool:
         """Whether the path ahead keeps the margin to maps, as far as the arm does now."""

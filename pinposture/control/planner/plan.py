@@ -252,7 +252,7 @@ def find_path(
     if avoidance is None or avoidance.only_torques:
         # The usual goal, if the motors hold the arm there.
         if goal is None and not objective.tasks:
-            goal = _known_goal(objective, position_limits, state.q)
+            goal = known_goal(objective, position_limits, state.q)
         if goal is None:
             goal = find_goal(unhindered, good).state
         if avoidance is not None and avoidance.violation(goal) > 0.0:
@@ -311,7 +311,7 @@ def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> Join
     """
     objective, state, position_limits, avoidance = problem
     if goal is None:
-        goal = _known_goal(objective, position_limits, state.q)
+        goal = known_goal(objective, position_limits, state.q)
         if goal is None or not (avoidance is None or avoidance.allows(goal)):
             return None
     motion = _size(objective, objective.arm.difference(state.q, goal.q))
@@ -774,7 +774,7 @@ def replan(
     objective, state, position_limits, avoidance = problem
     arm = objective.arm
     before = path.configuration(path.end)
-    known = None if objective.tasks else _known_goal(objective, position_limits, before)
+    known = None if objective.tasks else known_goal(objective, position_limits, before)
     if known is not None and (avoidance is None or avoidance.allows(known)):
         goal = known
         clear = True
@@ -821,7 +821,7 @@ def _achievable_error(before: Objective, after: Objective, goal: ChainState) -> 
     return PLAN.noise_factor * (left + moved) if moved <= max(left, small) else 0.0
 
 
-def _known_goal(objective: Objective, position_limits: Array, before: Array) -> ChainState | None:
+def known_goal(objective: Objective, position_limits: Array, before: Array) -> ChainState | None:
     """Return the state at the configuration of a target, if it is within limits and takes the posture.
 
     Multi-turn joints are within half a turn of a previous configuration.
