@@ -44,7 +44,7 @@ OCCUPANCY = OccupancySettings()
 
 
 class RayMarks(NamedTuple):
-    """Marks of a cell, on top of `count` times the number of the picture."""
+    """Marks of a cell, on top of `kinds` times the number of the picture."""
 
     ended: int = 0
     """A ray that met no surface ends there."""
@@ -55,7 +55,7 @@ class RayMarks(NamedTuple):
     hit: int = 2
     """One ends on a surface."""
 
-    count: int = 3
+    kinds: int = 3
 
 
 MARKS = RayMarks()
@@ -193,7 +193,7 @@ def cast_rays(
         (origin[1] - grid.corner[1]) * inverse,
         (origin[2] - grid.corner[2]) * inverse,
     )
-    base = MARKS.count * picture
+    base = MARKS.kinds * picture
     near = np.full(n * n * n, -1, dtype=np.int64)
     rays = np.empty((len(points), 4))
     count = 0
@@ -416,7 +416,7 @@ def find_surface(grid: OccupancyGrid, picture: int, scale: float, forbidden: boo
     n = grid.blocks
     found = 0
     least = OCCUPANCY.occupied * scale
-    base = MARKS.count * picture
+    base = MARKS.kinds * picture
     full = np.zeros(len(grid.used), dtype=np.bool_)
     mixed = np.zeros(len(grid.used), dtype=np.bool_)
     for block in range(len(grid.used)):

@@ -275,7 +275,7 @@ class Identification:
         positions = _positions_in(arm, log, columns)
         effort = np.asarray(log.effort)
         chosen = [columns[name] for name in arm.joint_names]
-        torques = np.column_stack([column.ratio * effort[:, column.index] for column in chosen])
+        torques = np.column_stack([column.ratio * effort[:, column.number] for column in chosen])
         usable = np.all(np.isfinite(positions) & np.isfinite(torques), axis=1)
         detector = TouchDetector(arm, Touch(LARGEST_NUMBER, time_constant=time_constant))
         felt = np.zeros(arm.nv)
@@ -439,16 +439,16 @@ def identify(arm: Arm, log: Log | Sequence[Log]) -> Identification:
 
 
 class _Column(NamedTuple):
-    """A column of a log: its index, and the joint of the arm at (number - offset) / ratio."""
+    """A column of a log: its number, and the joint of the arm at (value - offset) / ratio."""
 
-    index: int
+    number: int
     ratio: float
     offset: float
     turns: bool
 
     def read(self, table: Array, degrees: bool) -> Array:
         """Return the positions of the joint of the arm, (N,) [rad or m]."""
-        given = np.deg2rad(table[:, self.index]) if degrees and self.turns else table[:, self.index]
+        given = np.deg2rad(table[:, self.number]) if degrees and self.turns else table[:, self.number]
         return np.asarray((given - self.offset) / self.ratio)
 
 
@@ -499,7 +499,7 @@ def _read_tables(arm: Arm, logs: tuple[Log, ...], loads: bool = False) -> _Table
             positions = column.read(log.positions, log.degrees)
             deviations[name].append(_noise(log.time[fresh], positions[fresh]))
             commands = column.read(log.commands, log.degrees)
-            effort = unknown if log.effort is None else column.ratio * log.effort[:, column.index]
+            effort = unknown if log.effort is None else column.ratio * log.effort[:, column.number]
             parts = _series_of(log, commands, np.array([positions, effort]), fresh, segments)
             if torques is not None:
                 parts = [part._replace(torques=torques.at(part.times, number)) for part in parts]
@@ -631,7 +631,7 @@ def _unknown_loads(arm: Arm, logs: Sequence[Log]) -> str:
     """Return why torques by the weight of the arm are not known; empty if they are."""
     for number, log in enumerate(logs, start=1):
         which = f" of log {number}" if len(logs) > 1 else ""
-        columns = [column.index for column in _columns_of(arm, log, {}).values()]
+        columns = [column.number for column in _columns_of(arm, log, {}).values()]
         whole = len(columns) == arm.nv and np.any(np.all(np.isfinite(log.positions[:, columns]), axis=1))
         reasons = {
             f"the arm touched something{which}, which may have held a part of its weight": log.in_contact,

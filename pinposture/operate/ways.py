@@ -159,7 +159,8 @@ class PlannedWay:
 
     def _samples(self, first: int) -> Array:
         """Return some of its rows, from one on, (n, nq)."""
-        return self._rows[np.unique(np.linspace(first, self.end, WAYS.samples).astype(int))]
+        numbers = np.unique(np.linspace(first, self.end, WAYS.samples).astype(int))
+        return np.asarray(self._rows[numbers])
 
     def _among(self, scene: Scene) -> CollisionModel:
         """Return the distances from the obstacles of a scene."""

@@ -225,7 +225,7 @@ class Geodesic:
         """Return the progress to the same target, on another path if the arm makes none on this one."""
         progress = self._renewed(progress)  # which needs no new path
         cut = False
-        changes = self.scene is not None and self.scene.moving
+        changes = self.scene is not None and bool(self.scene.moving)
         if self.scene is not None and not self.scene.has_maps_of(progress.path.scene):
             changes = True
             was_blocked = bool(progress.path.blocked_by)

@@ -490,7 +490,7 @@ def divide(path: Array, units: Array) -> Array:
 def _count_pieces(path: Array, units: Array) -> NDArray[np.intp]:
     """Return into how many pieces `divide` divides each of those of a path, (N,)."""
     sizes = np.abs(np.diff(path, axis=0) / units).max(axis=1)
-    return np.maximum(np.ceil(sizes / SHORTENING.piece), 1.0).astype(np.intp)
+    return np.asarray(np.maximum(np.ceil(sizes / SHORTENING.piece), 1.0), dtype=np.intp)
 
 
 class _Growth:
