@@ -192,7 +192,7 @@ def test_each_type_keeps_its_shape_where_the_editor_places_it(name):
     if name != "half_space":
         assert placed.pose(scale.middle).translation == pytest.approx([0.1, 0.2, 0.3], abs=1e-5)
     for handle in size_handles(obstacle, scale):
-        assert isinstance(resized(obstacle, handle.name, handle.place, scale), type(obstacle))
+        assert isinstance(resized(obstacle, handle.name, handle.position, scale), type(obstacle))
 
 
 @pytest.mark.parametrize("name", ALL)
