@@ -129,12 +129,6 @@ class PlanSettings(NamedTuple):
     """Number of joints above which no path is relaxed where the tree search found none: with 1,000 joints
     beside a closed wall a step of a relaxation takes 3 s of processor time, the whole search 2 s."""
 
-    most_guessed_joints: int = 32
-    """Number of joints up to which a path is relaxed from a guess even where the tree search found one. Of
-    203 problems with two or three balls, plans then take 0.67 to 1.2 of the time, and joints move 0.93 to
-    1.08 times as far, by the arm; with 40 joints in `make study STUDY=clutter`, plans take 1.25 times as long
-    in the corner and 1.34 times beside the arm itself."""
-
     most_detour: float = 2.0
     """Length of a clear path, relative to the most direct one, above which the search looks for a
     shorter one."""
@@ -598,16 +592,14 @@ class _Candidates:
         The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
         none is clear, further relaxed paths. Before the most direct path, which takes longer, a straight
         motion of the joints is told if it is clear, and where it is not, a short tree search is made. The
-        first relaxation is left out if the tree search finds a path for an arm of more than
-        `PLAN.most_guessed_joints`, or none and an end is trapped or the arm has many joints. What is found is
-        told at once. With tasks, which a search would disregard, the tree search comes after the first
-        relaxation.
+        first relaxation is left out if the tree search finds none and an end is trapped or the arm has many
+        joints. What is found is told at once. With tasks, which a search would disregard, the tree search
+        comes after the first relaxation.
         """
         search = self._search
         variant = 2 * attempt
         count = PLAN.paths // (1 + attempt)
-        joints = len(search.problem.objective.columns)
-        too_many = joints > PLAN.most_relaxed_joints
+        too_many = len(search.problem.objective.columns) > PLAN.most_relaxed_joints
         searched = None
         hopeless = False
         if self._tasks is None:
@@ -622,7 +614,7 @@ class _Candidates:
             if searched is None:
                 searched = self._keep(search.connect(self._search_tells))
             hopeless = searched is None and (search.is_trapped or too_many)
-        if not hopeless and (searched is None or joints <= PLAN.most_guessed_joints):
+        if not hopeless:
             yield self._relax(0, variant, count)
         if searched is None:
             searched = self._keep(search.withdraw(self._search_tells))

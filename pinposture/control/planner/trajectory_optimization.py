@@ -191,15 +191,17 @@ class Descent(NamedTuple):
         steps: largest number of steps.
         damping: initial damping, relative to the mean diagonal of J^T J.
         converged: relative decrease of the energy in a step at which they end.
+        keeps: whether the damping stays after a step that was shortened.
     """
 
     steps: int
     damping: float
     converged: float
+    keeps: bool
 
 
-FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-3)
-COARSE = Descent(steps=20, damping=1e-6, converged=1e-2)
+FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-3, keeps=False)
+COARSE = Descent(steps=20, damping=1e-6, converged=1e-2, keeps=True)
 FINE = COARSE._replace(steps=10)
 WHOLE = COARSE._replace(steps=50, converged=1e-3)
 """From a guess; from a given path in few pieces, then with each divided in two; and in many at once."""
@@ -440,7 +442,7 @@ class _PathRelaxation:
                 reach = 0.5 ** (halvings - 1) * share * size
             elif share < 1.0:
                 reach = min(AMONG_OBSTACLES.growth * reach, AMONG_OBSTACLES.most_reach)
-            else:
+            if halvings == 1 and (share == 1.0 or not descent.keeps):
                 damping = max(damping * AMONG_OBSTACLES.damping_decrease, AMONG_OBSTACLES.least_damping)
             if converged:
                 break
