@@ -1,4 +1,4 @@
-"""Whether an arm can come out of where it is if one of its joints sticks."""
+"""Whether an arm can come out of where it is if one of its joints sticks, or its drive is weak or limp."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path_search import divide
 from pinposture.errors import InvalidValue, no_warnings
 from pinposture.placement import Target
+from pinposture.task.falling import Fall, fall_of
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 
@@ -53,6 +55,13 @@ class RetreatSettings(NamedTuple):
     rounding: float = 1e-9
     """Missing clearance that is due to rounding, in arm lengths."""
 
+    hanging: float = 3e-4
+    """Largest distance of a joint without torque from where it hangs, halfway between postures of a way, in
+    `Arm.joint_units`. It moves a point at the end of an arm of 1 m by 0.3 mm."""
+
+    hanging_halvings: int = 8
+    """How often a motion with such a joint is halved; if that is not enough, it falls to another side."""
+
     recorded: float = 0.05
     """Motion of a joint from one recorded posture of the way in to the next, in `Arm.joint_units`.
     `can_retreat` checks the motion between them, and halves it where that is not clear."""
@@ -65,6 +74,10 @@ RETREAT = RetreatSettings()
 
 BACK = "the way back"
 """`JointPath.found_by` of a way along that by which the arm came."""
+
+
+UNKNOWN_FALL = "falls, and weight does not tell where to (held by a brake, it would be stuck)"
+"""Why no way is promised."""
 
 
 class WayIn:
@@ -111,10 +124,12 @@ class Retreat(NamedTuple):
 
     Attributes:
         posture: the row of the posture.
-        joint: name of the joint that sticks there.
-        position: its position, at which it stays [rad or m].
-        path: the way out, for the arm with this joint locked (`Arm.with_locked`); None if there is none, or
-            none was found.
+        joint: name of the joint that fails there.
+        position: where it stays, or comes to rest after a fall [rad or m].
+        path: the way out, after a fall from where that ends; None if there is none, or none was found. With a
+            joint that sticks, it is one for the arm in which this is locked (`Arm.with_locked`); with a weak
+            one, for that with this torque limit (`Arm.with_effort`), or for the arm as it was if an end stop
+            holds the joint.
         reason: what comes too close, and whether that excludes a way out; empty if there is one.
     """
 
@@ -131,7 +146,7 @@ class Retreat(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Retreats:
-    """Whether an arm can come out of postures if one of its joints sticks; true if it always can.
+    """Whether an arm can come out of postures if one of its joints fails; true if it always can.
 
     Attributes:
         ways: the answers, posture by posture, and joint by joint from the base on.
@@ -163,6 +178,7 @@ def can_retreat(
     scene: Scene,
     failed: str | Sequence[str] | None = None,
     *,
+    torque: float | None = None,
     postures: Sequence[int] | None = None,
     out: ArrayLike | None = None,
     limits: Limits | None = None,
@@ -170,11 +186,12 @@ def can_retreat(
     until_blocked: bool = False,
     progress: Callable[[int, int], object] | None = None,
 ) -> Retreats:
-    """Tell whether an arm can come out of where it is if a joint sticks there.
+    """Tell whether an arm can come out of where it is if a joint fails there.
 
         retreats = pp.can_retreat(arm, run.q, scene)  # back to the start, with any one joint failed
         if not retreats:
             print(retreats.first)
+        retreats = pp.can_retreat(arm, run.q, scene, torque=0.0)  # with any one drive without torque
 
     A joint that is stuck stays at its position, and the others move. Out is a posture outside, but for that
     joint: where only that joint tells inside from outside, the arm is out where it is. If something is in the
@@ -187,8 +204,10 @@ def can_retreat(
     A way that is returned exists. Only an arm that overlaps an obstacle at the posture itself has none for
     certain. If none was found, one may exist all the same: `reason` says what was in the way.
 
-    Joints that go limp are not covered: where one hangs or leans depends on its load, on friction and on what
-    it touches. Hold it by a brake, and it is stuck.
+    A joint whose drive is weak falls to where that can hold it, and the arm is led such that it can. One that
+    is limp falls to where it hangs, and hangs on the way out, which has to be slow. Friction does not count.
+    The arm must be clear as far as the joint swings without damping. No way is promised where weight does not
+    tell where a joint hangs: hold it by a brake, and it is stuck.
 
     Args:
         arm: the arm.
@@ -196,8 +215,10 @@ def can_retreat(
             `JointPath.configurations`; or a single one, (nq,).
         scene: the obstacles, which rest, and their margin. Where the arm is closer to them at the posture, or
             outside while all joints work, the way out need not keep more than that.
-        failed: the joint that sticks, by its name in `Arm.joint_names`; or several, of which one sticks.
-            None: any one of the joints of the chain.
+        failed: the joint that fails, by its name in `Arm.joint_names`; or several, of which one fails. None:
+            any one of the joints of the chain.
+        torque: None: the joint sticks. Else its drive gives at most this torque or force [N m or N]: it is
+            weak, or with 0, limp.
         postures: rows of q to come out of; None: all of them.
         out: where to come out: one configuration, (nq,), or several that will do, (n, nq). None: the first
             row of q.
@@ -213,8 +234,9 @@ def can_retreat(
 
     Raises:
         InvalidValue: an argument of the wrong type or shape, a single configuration without `out`, obstacles
-            that move, or a continuous joint.
+            that move, a continuous joint, or with `torque`, one that others follow.
         UnknownName: a joint that is not on the chain.
+        WeightUnknown: with `torque`, masses that are not known.
     """
     require_instance("arm", arm, Arm, "an Arm")
     require_instance("scene", scene, Scene, "a Scene(...)")
@@ -229,8 +251,11 @@ def can_retreat(
     if out is None and len(rows) == 1:
         raise InvalidValue("out", None, "a configuration outside, as q is a single one")
     outside = rows[:1] if out is None else _configurations(arm, "out", out)
-    ways = _Ways(arm, rows, scene, outside, limits, budget)
     columns = _columns(arm, failed)
+    if torque is not None:
+        torque = require_positive("torque", torque, zero=True)
+        _require_falling(arm, columns)
+    ways = _Ways(arm, rows, scene, outside, limits, budget, torque)
     chosen = range(len(rows)) if postures is None else _rows(postures, len(rows))
     retreats: list[Retreat] = []
     for done, row in enumerate(chosen, start=1):
@@ -264,6 +289,16 @@ def _columns(arm: Arm, failed: str | Sequence[str] | None) -> list[int]:
     for name in names:
         require_known("joint that moves", name, tuple(columns))
     return [column for name, column in columns.items() if name in names]
+
+
+def _require_falling(arm: Arm, columns: Sequence[int]) -> None:
+    """Check that how joints fall is known: their weight, and that they move no other joint."""
+    arm.require_masses()
+    led = {coupling.leader for coupling in arm.couplings}
+    for column in columns:
+        name = arm.joint_names[column]
+        if name in led:
+            raise InvalidValue("failed", name, "a joint that no other follows, as it may fall")
 
 
 def _rows(postures: Sequence[int], count: int) -> Sequence[int]:
@@ -316,10 +351,18 @@ class _Ways:
         outside: postures outside, (n, nq).
         limits: as for `can_retreat`.
         budget: likewise.
+        torque: likewise.
     """
 
     def __init__(
-        self, arm: Arm, rows: Array, scene: Scene, outside: Array, limits: Limits, budget: float
+        self,
+        arm: Arm,
+        rows: Array,
+        scene: Scene,
+        outside: Array,
+        limits: Limits,
+        budget: float,
+        torque: float | None,
     ) -> None:
         self._arm = arm
         self._rows = rows
@@ -327,11 +370,12 @@ class _Ways:
         self._outside = outside
         self._limits = limits
         self._budget = budget
+        self._torque = torque
         self._model = CollisionModel(arm, scene)
         self._kept = _strides(arm, rows)
 
     def find(self, row: int, column: int) -> Retreat:
-        """Return the way out of a posture with a joint, given by its degree of freedom, that is stuck."""
+        """Return the way out of a posture with a joint, given by its degree of freedom, that fails."""
         arm = self._arm
         q = self._rows[row]
         name = arm.joint_names[column]
@@ -340,45 +384,79 @@ class _Ways:
         if begin.distance < 0.0:
             reason = f"at the posture, {describe_distance(begin.pair or (), begin.distance)}"
             return Retreat(row, name, position, None, reason)
-        locked = arm.with_locked({name: position})
+        fall = Fall(position, position)
+        if self._torque is not None:
+            falls = fall_of(arm.chain_at(q), column, self._torque)
+            if falls is None:
+                return Retreat(row, name, position, None, f"{name} {UNKNOWN_FALL}")
+            fall = falls
+        drop = np.zeros((3, arm.nv))
+        drop[1:, column] = np.array([fall.farthest, fall.rest]) - position
+        kept = min(self._scene.margin, begin.distance)
+        closest = self._model.minimum_on_motions(q, drop, np.inf, max(kept, 0.0))
+        if np.any(drop) and closest.distance < max(kept, 0.0):
+            reason = f"as {name} falls, {describe_distance(closest.pair or (), closest.distance)}"
+            return Retreat(row, name, fall.rest, None, reason)
+        fallen = arm.integrate(q, drop[-1])
         back = self._rows[self._kept[self._kept < row][::-1]]
         reasons = []
         for outside in self._outside:
-            kept = min(self._scene.margin, begin.distance, self._model.minimum(outside).distance)
-            least = max(kept, 0.0) - RETREAT.rounding * arm.length
+            least = max(min(kept, self._model.minimum(outside).distance), 0.0) - RETREAT.rounding * arm.length
             with no_warnings():  # the model of the arm whose joints all work has warned
-                way = _Way(locked, self._scene, self._limits, least)
-                way.begin(q)
-                path = way.out(back, outside, self._budget)
+                path = self._way(fallen, column, least).out(back, outside, self._budget)
             if isinstance(path, JointPath):
-                return Retreat(row, name, position, path, "")
+                return Retreat(row, name, fall.rest, path, "")
             reasons.append(path)
-        return Retreat(row, name, position, None, "; or ".join(reasons))
+        return Retreat(row, name, fall.rest, None, "; or ".join(reasons))
+
+    def _way(self, q: Array, column: int, least: float) -> _Way:
+        """Return the way that begins at a configuration, (nq,), without a joint or with what is left of it.
+
+        Args:
+            q: the configuration, after its fall.
+            column: the degree of freedom of the joint.
+            least: distance to keep [m].
+        """
+        arm = self._arm
+        name = arm.joint_names[column]
+        if self._torque is None:
+            locked = arm.with_locked({name: float(arm.positions(q)[column])})
+            return _Way(locked, self._scene, self._limits, least, q)
+        needed = abs(float(arm.chain_at(q).gravity_torques[column]))
+        if self._torque == 0.0 or needed > (1.0 + CONVERGED) * self._torque:  # an end stop holds it
+            return _HangingWay(arm, self._scene, self._limits, least, q, _Hanging(column, self._torque))
+        known = self._limits.for_arm(arm).effort
+        effort = np.full(arm.nv, np.inf) if known is None else np.array(known)
+        effort[column] = min(effort[column], self._torque)
+        described = np.array(arm.effort)
+        described[column] = min(described[column], self._torque)
+        efforts = zip(arm.joint_names, described.tolist(), strict=True)
+        weak = arm.with_effort({each: most for each, most in efforts if most < np.inf})
+        return _Way(weak, self._scene, replace(self._limits, effort=effort), least, q)
 
 
 class _Way:
-    """Leads an arm with a locked joint out of a posture.
+    """Leads an arm out of a posture.
 
     Args:
-        arm: the arm, with a joint locked.
+        arm: the arm, with a joint locked, or a lower torque limit.
         scene: the obstacles.
         limits: as for `can_retreat`.
         least: distance to keep [m].
+        q: the posture, (nq,).
     """
 
-    def __init__(self, arm: Arm, scene: Scene, limits: Limits, least: float) -> None:
+    def __init__(self, arm: Arm, scene: Scene, limits: Limits, least: float, q: Array) -> None:
         self._arm = arm
         self._scene = scene
         self._limits = limits
         self._least = least
         self._bounds = limits.for_arm(arm)
-        self._model = CollisionModel(arm, scene)
-
-    def begin(self, q: Array) -> None:
-        """Begin a way at a configuration, (nq,)."""
+        objective = Objective(arm, Target.from_configuration(arm, q))
+        self._avoidance = Avoidance(CollisionModel(arm, scene), objective, self._bounds)
         self._start = q
-        self._state = self._arm.chain_at(q)
-        self._offsets = [np.zeros(self._arm.nv)]
+        self._state = arm.chain_at(q)
+        self._offsets = [np.zeros(arm.nv)]
 
     def out(self, back: Array, outside: Array, budget: float) -> JointPath | str:
         """Return the way out, or why there is none.
@@ -389,23 +467,38 @@ class _Way:
             budget: time for a search beside the way back [s].
         """
         goal = self._without_joint(self._state, outside)
-        closest = self._model.minimum(goal.q)
-        if closest.distance < self._least:
-            goal = self._fitted(goal, outside)
-            target = Target.from_points(self._arm, self._arm.chain_at(outside).points)
-            off = np.linalg.norm(target.errors(goal.points), axis=1).max()
-            near = RETREAT.near * float(self._arm.chain.module_lengths.mean())
-            if off > near or self._model.minimum(goal.q).distance < self._least:
-                words = describe_distance(closest.pair or (), closest.distance)
-                return f"outside, with the joint where it is, {words}, and no clear posture was found nearby"
+        hindered = self._hindrance(goal)
+        if hindered:
+            nearby = self._nearby(goal, outside)
+            if nearby is None:
+                return f"outside, with the joint as it is, {hindered}, and no posture nearby would do"
+            goal = nearby
         self._follow(back)
         end = self._end(goal, budget)
         if end.blocked_by:
             return f"{end.blocked_by}; there may be a way that was not found"
         return end
 
+    def _nearby(self, goal: ChainState, outside: Array) -> ChainState | None:
+        """Return a posture that the arm can take near one outside, (nq,); None if none is found."""
+        target = Target.from_points(self._arm, self._arm.chain_at(outside).points)
+        near = RETREAT.near * float(self._arm.chain.module_lengths.mean())
+        for begin in (goal, self._state):
+            fitted = self._fitted(begin, outside)
+            off = np.linalg.norm(target.errors(fitted.points), axis=1).max()
+            if off <= near and not self._hindrance(fitted):
+                return fitted
+        return None
+
+    def _hindrance(self, state: ChainState) -> str:
+        """Return why a posture cannot be taken: what comes too close, or a torque; empty if it can."""
+        closest = self._avoidance.clearance.minimum(state.q)
+        if closest.distance < self._least:
+            return describe_distance(closest.pair or (), closest.distance)
+        return "; ".join(self._avoidance.describe_broken(state))
+
     def _follow(self, back: Array) -> None:
-        """Follow configurations, (n, nq), as far as the obstacles and the joint that is stuck let the arm."""
+        """Follow configurations, (n, nq), as far as the obstacles and the joint that fails let the arm."""
         before = self._start
         for q in back:
             if not self._follow_to(before, q, RETREAT.halvings):
@@ -414,23 +507,34 @@ class _Way:
 
     def _end(self, goal: ChainState, budget: float) -> JointPath:
         """Return the way on to a goal; `blocked_by` says what comes too close if none was found."""
-        arm = self._arm
-        target = Target.from_configuration(arm, goal.q)
         if self._move_to(goal):
-            offsets = divide(np.array(self._offsets), arm.joint_units)
-            return JointPath(Objective(arm, target), self._start, offsets, self._scene, found_by=BACK)
-        path = plan(self._state, target, self._scene, self._limits, budget=budget)
-        before = divide(np.array(self._offsets), arm.joint_units)
+            return self._path(goal, BACK)
+        return self._search(goal, budget)
+
+    def _search(self, goal: ChainState, budget: float) -> JointPath:
+        """Return the way on to a goal that `plan` finds, as `_end`."""
+        target = Target.from_configuration(self._arm, goal.q)
+        path = plan(self._state, target, self._scene, self._limits, budget=budget, strict=False)
+        before = divide(np.array(self._offsets), self._arm.joint_units)
         offsets = np.concatenate([before, before[-1] + path.offsets[1:]])
-        found_by = f"{BACK}, {path.found_by}" if len(self._offsets) > 1 else path.found_by
-        return replace(path, start=self._start, offsets=offsets, found_by=found_by)
+        return replace(path, start=self._start, offsets=offsets, found_by=self._found_by(path))
+
+    def _path(self, goal: ChainState, found_by: str) -> JointPath:
+        """Return the way that was led, to a goal."""
+        objective = Objective(self._arm, Target.from_configuration(self._arm, goal.q))
+        offsets = divide(np.array(self._offsets), self._arm.joint_units)
+        return JointPath(objective, self._start, offsets, self._scene, found_by=found_by)
+
+    def _found_by(self, path: JointPath) -> str:
+        """Return how a way was found whose end another path is."""
+        return f"{BACK}, {path.found_by}" if len(self._offsets) > 1 else path.found_by
 
     def _follow_to(self, before: Array, q: Array, halvings: int) -> bool:
         """Move to a configuration of the way back, (nq,), or near it; return whether the arm could.
 
         Args:
             before: the configuration of the way back that the arm was to take last, (nq,).
-            q: the configuration; that of the locked joint does not count.
+            q: the configuration; that of a joint that is not led does not count.
             halvings: how often the motion may be halved.
         """
         arm = self._arm
@@ -442,7 +546,7 @@ class _Way:
         return self._follow_to(before, middle, halvings - 1) and self._follow_to(middle, q, halvings - 1)
 
     def _without_joint(self, state: ChainState, q: Array) -> ChainState:
-        """Return the state at a configuration, (nq,), but for the joint that is locked."""
+        """Return the state at a configuration, (nq,), but for the joint that is not led."""
         limits = self._arm.limits
         change = self._arm.difference(state.q, q)
         return state.moved(np.where(limits.upper > limits.lower, change, 0.0))
@@ -450,17 +554,108 @@ class _Way:
     def _fitted(self, state: ChainState, q: Array) -> ChainState:
         """Return the posture of a configuration, (nq,), as nearly as the arm can take it from a state on."""
         target = Target.from_points(self._arm, self._arm.chain_at(q).points)
-        return nearest_posture(state, target, self._scene, self._bounds, self._least)
+        return nearest_posture(state, target, self._scene, self._bounds_at(state), self._least)
+
+    def _bounds_at(self, state: ChainState) -> JointBounds:
+        """Return the limits of the joints that are led from a state on."""
+        return self._bounds
 
     def _move_to(self, state: ChainState) -> bool:
         """Move straight to a state if that is clear; return whether it is."""
         change = np.asarray(self._arm.difference(self._state.q, state.q))
         motion = np.stack([np.zeros_like(change), change])
-        if (
-            self._model.minimum_on_motions(self._state.q, motion, self._least, self._least).distance
-            < self._least
-        ):
+        if not self._avoidance.keeps(self._state.q, motion, self._least):
             return False
         self._offsets.append(self._offsets[-1] + change)
         self._state = state
         return True
+
+
+class _Hanging(NamedTuple):
+    """A joint, by its degree of freedom, and the largest torque or force of its drive [N m or N]."""
+
+    column: int
+    torque: float
+
+
+class _HangingWay(_Way):
+    """Leads an arm out with a joint that is not led: it is where its weight takes it.
+
+    Args:
+        arm: the arm.
+        scene: the obstacles.
+        limits: as for `can_retreat`.
+        least: distance to keep [m].
+        q: the posture, (nq,).
+        hanging: the joint.
+    """
+
+    def __init__(
+        self, arm: Arm, scene: Scene, limits: Limits, least: float, q: Array, hanging: _Hanging
+    ) -> None:
+        super().__init__(arm, scene, limits, least, q)
+        self._column, self._torque = hanging
+
+    def _without_joint(self, state: ChainState, q: Array) -> ChainState:
+        change = np.array(self._arm.difference(state.q, q))
+        change[self._column] = 0.0
+        moved = state.moved(change)
+        return self._hung(moved) or moved
+
+    def _fitted(self, state: ChainState, q: Array) -> ChainState:
+        fitted = super()._fitted(state, q)
+        return self._hung(fitted) or fitted
+
+    def _bounds_at(self, state: ChainState) -> JointBounds:
+        limits = self._bounds.position_limits.copy()
+        limits[:, self._column] = state.positions[self._column]
+        return replace(self._bounds, position_limits=limits)
+
+    def _hindrance(self, state: ChainState) -> str:
+        if self._hung(state) is None:
+            return f"{self._arm.joint_names[self._column]} {UNKNOWN_FALL}"
+        return super()._hindrance(state)
+
+    def _search(self, goal: ChainState, budget: float) -> JointPath:
+        arm = self._arm
+        column = self._column
+        name = arm.joint_names[column]
+        at = float(self._state.positions[column])
+        held = arm.difference(self._state.q, goal.q)
+        held[column] = 0.0
+        locked = arm.with_locked({name: at})
+        state = locked.chain_at(self._state.q)
+        target = Target.from_configuration(locked, state.moved(held).q)
+        path = plan(state, target, self._scene, self._limits, budget=budget, strict=False)
+        if path.blocked_by:
+            return path
+        found_by = self._found_by(path)
+        for q in path.configurations[1:]:
+            if not self._move_to(self._without_joint(self._state, q)):
+                return replace(path, blocked_by=f"{name} would fall into something, or to another side")
+        return self._path(goal, found_by)
+
+    def _move_to(self, state: ChainState) -> bool:
+        hung = self._hung(state)
+        return hung is not None and self._hang_to(hung, RETREAT.hanging_halvings)
+
+    def _hung(self, state: ChainState) -> ChainState | None:
+        """Return a state with the joint where it comes to rest; None if weight does not tell where."""
+        fall = fall_of(state, self._column, self._torque)
+        if fall is None:
+            return None
+        change = np.zeros(self._arm.nv)
+        change[self._column] = fall.rest - state.positions[self._column]
+        return state.moved(change)
+
+    def _hang_to(self, state: ChainState, halvings: int) -> bool:
+        """Move to a state, with the joint at rest on the way; return whether the arm could."""
+        half = 0.5 * np.asarray(self._arm.difference(self._state.q, state.q))
+        middle = self._state.moved(half)
+        hung = self._hung(middle)
+        if hung is None:
+            return False
+        off = np.abs(self._arm.difference(middle.q, hung.q) / self._arm.joint_units).max()
+        if off <= RETREAT.hanging:
+            return super()._move_to(state)
+        return halvings > 0 and self._hang_to(hung, halvings - 1) and self._hang_to(state, halvings - 1)

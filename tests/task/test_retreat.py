@@ -6,13 +6,14 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
 import pinposture as pp
 from pinposture.arm import JointSpec, ModuleTemplate
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, UnknownName, WeightUnknown
 from pinposture.task import retreat
 from pinposture.task.retreat import Retreat
 
@@ -184,7 +185,7 @@ def test_an_arm_that_overlaps_an_obstacle_has_no_way_out_and_says_what_it_overla
     around = {"ball": pp.Sphere((0.0, 0.3, 0.0), 0.15)}
     scene = pp.Scene(around, self_collision=False, arm_radius=RADIUS)
     (way,) = pp.can_retreat(planar(), np.zeros(3), scene, "m03_j1_z", out=[np.pi / 2, 0.0, 0.0]).ways
-    assert way.reason.startswith("outside, with the joint where it is, ")
+    assert way.reason.startswith("outside, with the joint as it is, ")
 
 
 def test_bad_questions_are_refused() -> None:
@@ -205,6 +206,92 @@ def test_bad_questions_are_refused() -> None:
     moving = pp.Scene(scene.obstacles, velocities={"ball 0": (0.1, 0.0, 0.0)})
     with pytest.raises(InvalidValue, match="obstacles that rest"):
         pp.can_retreat(planar(), rows, moving)
+
+
+@cache
+def heavy() -> pp.Arm:
+    hinges = tuple(pp.JointSpec(axis, lower=-0.8, upper=0.8) for axis in "yz")
+    return pp.Arm.from_modules([ModuleTemplate("m", hinges, (0.05, 0.05))] * 5)
+
+
+def bent(seed: int) -> Array:
+    """Return a way in to a bent posture."""
+    goal = np.random.default_rng(seed).uniform(-0.5, 0.5, heavy().nv)
+    return np.linspace(0.0, 1.0, 20)[:, None] * goal
+
+
+def held_by(q: Array) -> Array:
+    """Return the torques that hold the heavy arm, by Pinocchio, (nv,) [N m]."""
+    model = heavy().model
+    return np.array(pin.computeGeneralizedGravity(model, model.createData(), q))
+
+
+BALL = pp.Scene({"ball": pp.Sphere((0.25, 0.2, 0.1), 0.05)}, margin=MARGIN)
+
+
+@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.long) for seed in (0, 3, 4))])
+def test_a_limp_joint_hangs_or_lies_at_its_end_stop_all_the_way(seed: int) -> None:
+    rows = bent(seed)
+    found = 0
+    for way in pp.can_retreat(heavy(), rows, BALL, torque=0.0, postures=[19]).ways:
+        if way.path is None:
+            continue
+        found += 1
+        column = heavy().joint_names.index(way.joint)
+        after = way.path.configurations
+        assert after[0, column] == pytest.approx(way.position)
+        assert np.all(np.delete(after[0] - rows[19], column) == 0.0)
+        for q in np.concatenate([after, 0.5 * (after[:-1] + after[1:])]):
+            gravity = held_by(q)[column]
+            beside = q.copy()
+            beside[column] += 1e-4
+            stable = held_by(beside)[column] > gravity
+            at_stop = abs(abs(q[column]) - 0.8) < 1e-9 and gravity * q[column] < 0.0
+            assert at_stop or (stable and abs(gravity) < 1e-3 * heavy().outstretched_torques[column])
+    assert found == 5
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_weak_joint_is_spared_on_the_way_out(seed: int) -> None:
+    rows = bent(seed)
+    column = 0
+    name = heavy().joint_names[column]
+    needed = np.array([abs(held_by(q)[column]) for q in rows])
+    torque = float(max(needed[-1], 0.97 * needed.max()))
+    assert needed.max() > torque  # on the way by which it came, the joint would not hold
+    (way,) = pp.can_retreat(heavy(), rows, BALL, name, torque=torque, postures=[19]).ways
+    assert way.path is not None
+    assert way.path.arm.effort[column] == torque
+    most = np.array([abs(held_by(q)[column]) for q in way.path.configurations]).max()
+    assert most <= torque * (1.0 + 1e-5)
+
+
+def test_what_falls_into_something_or_nobody_knows_where_has_no_way_out() -> None:
+    rows = bent(1)
+    below = pp.Scene({"floor": pp.Box((0.3, 0.0, -0.16), (0.8, 0.8, 0.02))}, margin=MARGIN)
+    names = heavy().joint_names
+    falls, turns = pp.can_retreat(
+        heavy(), rows, below, list(names[:2]), torque=0.0, postures=[0], out=rows[0]
+    ).ways
+    assert falls.path is None
+    assert falls.reason.startswith(f"as {names[0]} falls, ")
+    assert "floor" in falls.reason
+    assert turns.path is None
+    assert turns.reason.startswith(f"{names[1]} falls, and weight does not tell where to")
+    assert pp.can_retreat(heavy(), rows, below, names[1], torque=0.1, postures=[0])  # that holds it
+
+
+def test_torques_of_joints_that_fail_are_checked() -> None:
+    rows = bent(1)
+    with pytest.raises(InvalidValue, match="torque"):
+        pp.can_retreat(heavy(), rows, BALL, torque=-0.1)
+    follows = pp.JointSpec("z", follows=0)
+    coupled = pp.Arm.from_modules([ModuleTemplate("m", (pp.JointSpec("y"), follows), (0.05, 0.05))] * 3)
+    with pytest.raises(InvalidValue, match="no other follows"):
+        pp.can_retreat(coupled, np.zeros((2, coupled.nv)), BALL, torque=0.0)
+    bare = pp.Arm.load(heavy().urdf.replace("inertial", "ignored"))
+    with pytest.raises(WeightUnknown):
+        pp.can_retreat(bare, rows, BALL, torque=0.0)
 
 
 def test_the_way_in_has_no_detours_and_keeps_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
