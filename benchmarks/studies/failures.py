@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import pinposture as pp
 from pinposture.sim import Sensing, Servos, build_plant_model
-from pinposture.sim.plant import Plant, Sensors
+from pinposture.sim.plant import FAILURES, Plant, Sensors
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,6 @@ LIMITS = pp.Limits(dt=DT, velocity=1.0, acceleration=5.0)
 NOISE = 1e-4
 TORQUE_NOISE = 0.01
 """Noise of positions [rad], and of torques, in the largest torque of gravity."""
-FAILURES = ("stuck", "limp", "weak", "none")
 
 
 class Trial(NamedTuple):
@@ -99,7 +98,7 @@ def main() -> None:
     print("| measured | failure | noticed | time [s], median | most | told as | false |")
     print("|---" * 7 + "|")
     for efforts in (False, True):
-        for failure in FAILURES:
+        for failure in (*FAILURES, "none"):
             told = [told_first(arm, trial, failure, efforts) for trial in trials]
             right = [each for each in told if each is not None and not each.false]
             false = sum(each is not None and each.false for each in told)

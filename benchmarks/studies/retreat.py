@@ -39,7 +39,7 @@ from pinposture.errors import PostureError
 from pinposture.motion.drive_response import DriveModel
 from pinposture.sim import Servos, build_plant_model
 from pinposture.sim.drives import Drives
-from pinposture.sim.plant import WEAK, Plant
+from pinposture.sim.plant import FAILURES, WEAK, Plant
 
 Array = NDArray[np.float64]
 
@@ -77,8 +77,6 @@ FALLING = 300
 STOPS = (0.004, 1.0)
 """Time constant [s] and damping of end stops in MuJoCo: so hard that a joint exceeds them by up to 0.04 rad,
 with physics steps in which it gains no energy there."""
-
-FAILURES = ("stuck", "limp", "weak")
 
 
 SWINGING = 0.1

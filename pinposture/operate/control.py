@@ -35,7 +35,7 @@ DIRECTIONS = ("ahead", "left", "up")
 
 WISHES = ("keep", "next", "out")
 """What the page that has control can ask for beside: to keep the posture, to plan the next step, or the way
-out of an arm with a joint that is stuck."""
+out of an arm with a joint that fails."""
 
 
 DONE = ("hold", "release", "ask", "give", *WISHES)

@@ -25,6 +25,7 @@ from pinposture.operate.leaders import MovedTip, TipLeader, leader_of
 from pinposture.operate.ways import NO_PLAN, CurveAlong, NextStep, Planned, Ways, out_of, towards
 from pinposture.placement import Target
 from pinposture.placement.target import target_at
+from pinposture.task.falling import fall_of, torque_left
 from pinposture.task.retreat import WayIn
 from pinposture.units import ROUNDING, length_text
 
@@ -51,6 +52,12 @@ class OperationSettings(NamedTuple):
     latest: float = 4.0
     """Largest duration of a cycle that counts when the tip is braked, in nominal ones."""
 
+    still: float = 0.02
+    """Motion of a joint up to which it stands, in `Arm.joint_units`."""
+
+    stands_after: float = 0.5
+    """Time within that after which it has come to rest [s]."""
+
     drawing: float = 0.2
     """Time between two drawings of the way of the tip [s]."""
 
@@ -60,6 +67,17 @@ OPERATION = OperationSettings()
 
 LOCKING = "a joint that is stuck is being locked"
 """Why the arm holds until it goes on without that joint."""
+
+
+FALLEN = "has fallen, as limp or weak: only the way that is planned can be driven"
+"""Why the tip is not led."""
+
+
+class Rest(NamedTuple):
+    """Where a measured arm has stood, (nq,), and since when [s]."""
+
+    q: Array
+    time: float
 
 
 class Shown(NamedTuple):
@@ -77,7 +95,7 @@ class Shown(NamedTuple):
         order: what was held; None: nothing.
         led: the configuration to which the arm is led, (nq,); None before it is at its start.
         planned: the way that is planned.
-        stuck: what is known of a joint that is stuck; empty if none is.
+        stuck: what is known of a joint that fails; empty if none does.
         time: when it was [s], by the clock of the operation.
     """
 
@@ -113,7 +131,7 @@ class Operation:
         ways: the way that is planned, to be driven while it is held.
         steps: what the operator asks for one by one, postures that were kept included.
         goes_on: whether the arm is exchanged for one without a joint that is stuck, once there is a way out;
-            else it holds as long as the tracker does.
+            else it holds as long as the tracker does. A joint that was astray before is taken as fallen.
         shown: the last cycle; may be read from any thread.
         watch: called with each cycle, such as `Recorder.add`; it has to return at once.
 
@@ -164,6 +182,10 @@ class Operation:
         self._way_in = WayIn(arm)
         self._next = 0
         self._stuck: JointFailure | None = None
+        self._astray: JointFailure | None = None
+        self._fallen = False
+        self._to_look = False
+        self._still: Rest | None = None
         nothing = np.zeros((0, 3))
         self.shown = Shown(
             measured=None,
@@ -239,12 +261,23 @@ class Operation:
             order=order,
             led=self._led,
             planned=self.ways.planned,
-            stuck="" if self._stuck is None else str(self._stuck),
+            stuck=self._failing,
             time=now,
         )
         if self.watch is not None:
             self.watch(self.shown)
         return hold
+
+    @property
+    def _failing(self) -> str:
+        """What is known of a joint that fails; empty if none does."""
+        if self._stuck is not None:
+            return str(self._stuck)
+        if self._astray is None:
+            return ""
+        if self._fallen:
+            return f"{self._astray.joint} {FALLEN}"
+        return f"{self._astray}; if it has fallen, look for the way out"
 
     def reshape(self, curve: CurveAlong) -> None:
         """Have a way planned to the shape of a curve along the arm. May be called from any thread."""
@@ -272,18 +305,21 @@ class Operation:
             released = self.control.reason
         if not self._begun:
             return self._go_to_start(tracker, measured, order, released)
-        hold = self._attend(tracker.report, measured, scene)
+        hold = self._attend(tracker, measured, scene)
         if hold:
             return hold
         if self.ways.moving or (order is not None and order.along and not np.any(self._velocity)):
             return self._drive(tracker, order, released, scene)
         return self._jog(tracker, order, released, scene, dt)
 
-    def _attend(self, report: Report, measured: Array, scene: Scene) -> str:
-        """Attend to joints that are stuck, to wishes and to plans; return why the arm has to hold."""
-        self._watch_joints(report, measured, scene)
+    def _attend(self, tracker: Tracker, measured: Array, scene: Scene) -> str:
+        """Attend to joints that fail, to wishes and to plans; return why the arm has to hold."""
+        self._watch_joints(tracker.report, measured, scene)
         for wish in self.control.wishes():
             self._prepare(wish, scene)
+        if self._to_look and self._stands(measured):
+            self._to_look = False
+            self._look_out_fallen(tracker, scene)
         way = self.ways.poll(cast(Array, self._led))
         if way is not None and way.arm is not self.arm:
             self._go_on_without_joint(way.arm)
@@ -293,6 +329,8 @@ class Operation:
     def _jog(self, tracker: Tracker, order: Order | None, released: str, scene: Scene, dt: float) -> str:
         """Lead the tip; return why the arm has to hold."""
         leader = cast(TipLeader, self._leader)
+        if self._fallen:
+            return self._failing
         if order is not None and np.any(order.direction):
             away = leader.rejoin(cast(Array, self._led))
             if away:
@@ -388,26 +426,76 @@ class Operation:
             self.ways.ask(words, led, scene, towards(self.arm, target, self._limits, name))
         elif wish == "next":
             self.ways.say("there is no step: keep a posture, or give a task")
-        elif self._stuck is None:
-            self.ways.say("no joint is stuck")
+        elif self._stuck is not None:
+            self._look_out(f"out, with {self._stuck.joint} locked", self._stuck.joint, scene)
+        elif self._astray is None:
+            self.ways.say("no joint fails")
         else:
-            self.ways.say("whether the arm can come out is being looked for")
-            find = out_of(self.arm, self._way_in, self._stuck.joint, self._limits)
-            self.ways.ask(f"out, with {self._stuck.joint} locked", led, scene, find)
+            self._take_as_fallen(self._astray.joint)
+
+    def _look_out(self, name: str, joint: str, scene: Scene, torque: float | None = None) -> None:
+        """Have the way out planned with a joint that sticks, or gives a torque [N m or N]."""
+        self.ways.say("whether the arm can come out is being looked for")
+        find = out_of(self.arm, self._way_in, joint, self._limits, torque)
+        self.ways.ask(name, cast(Array, self._led), scene, find)
+
+    def _take_as_fallen(self, joint: str) -> None:
+        """Take the joint that was astray last for one that is limp or weak."""
+        self._fallen = True
+        self._to_look = True
+        self._velocity = np.zeros(3)
+        self.ways.say(f"where {joint} comes to rest is waited for")
+
+    def _look_out_fallen(self, tracker: Tracker, scene: Scene) -> None:
+        """Look for the way out with a joint that has fallen, with the torque that its drive still gives."""
+        arm = self.arm
+        joint = cast(JointFailure, self._astray).joint
+        column = arm.joint_names.index(joint)
+        positions = arm.positions(tracker.command)
+        positions[column] = arm.positions(cast(Rest, self._still).q)[column]
+        state = arm.chain_at(arm.configuration(positions))
+        try:
+            torque = torque_left(state, column)
+            fall = fall_of(state, column, torque)
+        except PostureError as unknown:
+            self.ways.say(str(unknown))
+            return
+        if fall is not None:
+            positions[column] = fall.rest
+        self._led = arm.configuration(positions)
+        tracker.restart(self._led)
+        self.ways.forget()
+        self._look_out(f"out, with {joint} {'weak' if torque else 'limp'}", joint, scene, torque)
+
+    def _stands(self, measured: Array) -> bool:
+        """Return whether the measured arm has come to rest."""
+        now = self._clock()
+        still = self._still
+        if still is None or np.any(
+            np.abs(self.arm.difference(still.q, measured)) > OPERATION.still * self.arm.joint_units
+        ):
+            still = self._still = Rest(measured, now)
+        return now - still.time >= OPERATION.stands_after
 
     def _watch_joints(self, report: Report, measured: Array, scene: Scene) -> None:
-        """Notice a joint that is stuck, and look for the way out."""
+        """Notice joints that fail; if one is stuck, look for the way out."""
         if not self.goes_on or self._stuck is not None:
             return
-        stuck = [failure for failure in report.failures if failure.kind == "stuck"]
-        if stuck:
-            self._stuck = stuck[0]
-            # What is held means another motion now.
-            self.control.lose("a joint is stuck; release, and hold again")
-            self._velocity = np.zeros(3)
-            self._led = measured
-            self.ways.forget()
-            self._prepare("out", scene)
+        self._astray = next((failure for failure in report.failures if failure.kind != "stuck"), self._astray)
+        stuck = next((failure for failure in report.failures if failure.kind == "stuck"), None)
+        if stuck is None or self._fallen:
+            return
+        # What is held means another motion now.
+        self._velocity = np.zeros(3)
+        if self._astray is not None and stuck.joint == self._astray.joint:
+            self.control.lose("a joint has fallen; release, and hold again")
+            self._take_as_fallen(stuck.joint)
+            return
+        self.control.lose("a joint is stuck; release, and hold again")
+        self._stuck = stuck
+        self._led = measured
+        self.ways.forget()
+        self._prepare("out", scene)
 
     def _go_on_without_joint(self, arm: Arm) -> None:
         """Go on with an arm in which a joint is locked."""

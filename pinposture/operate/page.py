@@ -439,11 +439,16 @@ class LivePage:
         self._server.flush()
 
     def _add_failures(self, simulated: SimulatedArm) -> None:
-        """Add what lets joints of a simulated arm stick."""
+        """Add what lets joints of a simulated arm fail."""
         names = self._arm.drives.names
+
+        def fail(kind: str) -> None:
+            simulated.fail(joint.value, kind=kind)
+
         with self._server.gui.add_folder("Let a joint fail", expand_by_default=False):
             joint = self._server.gui.add_dropdown("joint", names, initial_value=names[len(names) // 2])
-            on_click(self._server.gui.add_button("It sticks"), lambda: simulated.fail(joint.value))
+            for words, kind in (("It sticks", "stuck"), ("It goes limp", "limp"), ("It gets weak", "weak")):
+                on_click(self._server.gui.add_button(words), partial(fail, kind))
             on_click(self._server.gui.add_button("All joints work"), simulated.fail)
 
     def _show_picture(self) -> None:

@@ -23,7 +23,7 @@ from pinposture.motion.latest import Latest
 from pinposture.operate.operation import Operation
 from pinposture.sim.camera import DepthCamera, TipCamera
 from pinposture.sim.model import Servos, build_plant_model
-from pinposture.sim.plant import Plant, Sensing, Sensors
+from pinposture.sim.plant import FAILURES, Plant, Sensing, Sensors
 
 Array = NDArray[np.float64]
 
@@ -52,8 +52,8 @@ class SimulatedArm:
     Without a camera the arm keeps clear of the obstacles of the scene. With one it does not know them: it
     keeps clear of what it sees of them, in a `Map`.
 
-    A joint can fail on request (`fail`). Once there is a way out without it, the arm goes on with that joint
-    locked in its model.
+    A joint can fail on request (`fail`). Once there is a way out without one that sticks, the arm goes on
+    with that joint locked in its model.
 
     Attributes:
         plant: the simulation.
@@ -110,7 +110,7 @@ class SimulatedArm:
         self.tracker = self._new_tracker(arm)
         self._looking: Latest[Picture, None] = Latest(self._look, "pinposture-camera")
         self._pictures = 0
-        self._failing: tuple[str, ...] | None = None
+        self._failing: dict[str, tuple[str, ...]] | None = None
         self.picture: Array | None = None
 
     @property
@@ -125,7 +125,7 @@ class SimulatedArm:
         failing = self._failing
         if failing is not None:
             self._failing = None
-            self.plant.fail(stuck=failing)
+            self.plant.fail(**failing)
         if self.tracker.arm is not self._operation.arm:
             self.tracker = self._new_tracker(self._operation.arm)
         read = self._sensors.measure(self.plant.positions)
@@ -142,15 +142,20 @@ class SimulatedArm:
         """Return a tracker of the arm, of which some joints may be locked."""
         return Tracker(arm, limits=self._limits, scene=self.scene, deadline=self._deadline)
 
-    def fail(self, *joints: str) -> None:
-        """Let joints stick from the next cycle on, and no others. May be called from any thread.
+    def fail(self, *joints: str, kind: str = "stuck") -> None:
+        """Let joints fail from the next cycle on, and no others. May be called from any thread.
+
+        Args:
+            joints: their names.
+            kind: how they fail, one of `FAILURES`: they stick, or their drives are limp or weak.
 
         Raises:
-            UnknownName: a joint that no drive moves.
+            UnknownName: a joint that no drive moves, or another kind.
         """
+        require_known("kind of failure", kind, FAILURES)
         for joint in joints:
             require_known("joint with a drive", joint, self._arm.drives.names)
-        self._failing = joints
+        self._failing = {kind: joints}
 
     def run(self, stop: Event) -> None:
         """Go on in real time until it is stopped, or the arm runs away."""

@@ -37,7 +37,7 @@ class WaySettings(NamedTuple):
     """Time after which no other way is searched for among obstacles [s]: an operator waits for it."""
 
     retreat_budget: float = 20.0
-    """The same for the way out of an arm with a joint that is stuck [s]; the search took 0.6 s in the median
+    """The same for the way out of an arm with a joint that fails [s]; the search took 0.6 s in the median
     and 17 s at most in `make study STUDY=retreat`."""
 
     samples: int = 60
@@ -453,25 +453,32 @@ def around(way: PlannedWay, limits: Limits) -> FindPath:
     return find
 
 
-def out_of(arm: Arm, way_in: WayIn, joint: str, limits: Limits) -> FindPath:
-    """Return what finds the way out of an arm with a joint that is stuck.
+def out_of(arm: Arm, way_in: WayIn, joint: str, limits: Limits, torque: float | None = None) -> FindPath:
+    """Return what finds the way out of an arm with a joint that fails.
 
     Args:
         arm: the arm, whose joints all work.
         way_in: the way by which it went in.
         joint: the joint.
         limits: the limits of the joints.
+        torque: None: the joint sticks. Else its drive gives at most this torque or force [N m or N].
     """
 
     def find(q: Array, scene: Scene) -> JointPath:
         rows = way_in.until(q)
-        last = [len(rows) - 1]
-        ways = can_retreat(
-            arm, rows, scene, joint, postures=last, limits=limits, budget=WAYS.retreat_budget
+        (way,) = can_retreat(
+            arm,
+            rows,
+            scene,
+            joint,
+            torque=torque,
+            postures=[len(rows) - 1],
+            limits=limits,
+            budget=WAYS.retreat_budget,
         ).ways
-        if ways[0].path is None:
-            raise TaskError("the way out", ways[0].reason)
-        return ways[0].path
+        if way.path is None:
+            raise TaskError("the way out", way.reason)
+        return way.path
 
     return find
 

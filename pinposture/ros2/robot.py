@@ -23,16 +23,12 @@ from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Flag, declared, one
 from pinposture.sim.camera import DepthCamera, TipCamera
 from pinposture.sim.link_sensors import LinkSensing, LinkSensors
 from pinposture.sim.model import Servos, build_plant_model
-from pinposture.sim.plant import Plant, Sensing, Sensors
+from pinposture.sim.plant import FAILURES, Plant, Sensing, Sensors
 
 Array = NDArray[np.float64]
 
 MOST_CATCHING_UP = 5
 """Largest number of cycles that the robot makes at once to keep up with the clock; time is lost beyond it."""
-
-
-FAILURES = ("stuck", "limp", "weak")
-"""How joints fail, as arguments of `Plant.fail`, and parameters of a robot."""
 
 
 @declared()

@@ -38,6 +38,9 @@ Array = NDArray[np.float64]
 RUNAWAY = 1e3  # joint speed at which a simulation ends as unstable [rad/s or m/s]
 STUCK_DAMPING = 1e9  # of a joint that is stuck: 100 N m move it by 1e-7 rad/s [N m s/rad or N s/m]
 WEAK = 0.3  # share of the torque by which weight loads a joint at most that a weak drive gives
+FAILURES = ("stuck", "limp", "weak")
+"""How joints fail, as arguments of `Plant.fail`."""
+
 TRIALS = 6  # maximum number of iterations on the set of saturated servos before the quadratic program
 
 

@@ -19,6 +19,10 @@ LEAST_PULL = 0.1
 """Share of the largest torque by which weight can load a joint, below which weight does not tell where the
 joint hangs or falls: friction, a cable or a touch does."""
 
+AT_STOP = 0.02
+"""Distance from an end stop within which a fallen joint lies there, in `Arm.joint_units`: end stops give way
+a little."""
+
 
 class Fall(NamedTuple):
     """How a joint falls.
@@ -65,6 +69,27 @@ def fall_of(state: ArmState, column: int, torque: float) -> Fall | None:
     turning = _turning_point(size, torque, angle, hanging)
     rest, farthest = np.clip(here + copysign(1.0, pull) * (angle - np.array([hanging, turning])), *limits)
     return Fall(float(rest), float(farthest))
+
+
+def torque_left(state: ArmState, column: int) -> float:
+    """Return the torque or force that the drive of a joint still gives which has fallen to where it is.
+
+    It is what holds the joint there, if nothing touches the arm; 0 at an end stop, and where that is less
+    than `LEAST_PULL`.
+
+    Args:
+        state: the state of the arm.
+        column: the degree of freedom of the joint.
+
+    Raises:
+        WeightUnknown: masses that are not known.
+    """
+    arm = state.arm
+    here = float(state.positions[column])
+    near = AT_STOP * float(arm.joint_units[column])
+    held = abs(float(state.gravity_torques[column]))
+    at_stop = min(here - arm.limits.lower[column], arm.limits.upper[column] - here) < near
+    return 0.0 if at_stop or held < LEAST_PULL * arm.outstretched_torques[column] else held
 
 
 def _turning_point(size: float, torque: float, angle: float, hanging: float) -> float:

@@ -11,7 +11,7 @@ import pytest
 from operate.test_operation import Desk, bent_arm, fed_arm
 
 import pinposture as pp
-from pinposture.errors import TaskError
+from pinposture.errors import TaskError, UnknownName
 from pinposture.operate import SimulatedArm
 from pinposture.operate.ways import CurveAlong, read_steps
 
@@ -252,6 +252,55 @@ def test_an_arm_with_a_joint_that_sticks_is_led_out_with_that_joint_locked() -> 
     assert others.max() < 0.005
     assert desk.arm.positions(out)[column] == pytest.approx(desk.arm.positions(inside)[column], abs=0.005)
     simulated.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*outside the limits")  # end stops give way a little
+@pytest.mark.parametrize("kind", ["limp", "weak"])
+def test_an_arm_with_a_joint_that_falls_is_led_out_while_that_joint_lies_at_its_end_stop(kind: str) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    hinges = tuple(pp.JointSpec(axis, lower=-0.8, upper=0.8) for axis in "yz")
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("m", hinges, (0.05, 0.05))] * 4)
+    start = np.array([-0.3, 0.2, 0.2, 0.1, 0.4, -0.2, 0.3, 0.2])
+    desk = Desk(arm, start)
+    simulated = SimulatedArm(arm, desk.operation, desk.limits, pp.Scene(margin=0.005), q0=start)
+
+    def cycles(count: int, tell: Callable[[], object]) -> None:
+        for _ in range(count):
+            desk.now += 0.02
+            tell()
+            assert simulated.cycle()
+
+    cycles(100, lambda: desk.hold((0.0, 0.0, 1.0)))
+    assert np.abs(desk.operation.shown.led - start).max() > 0.02
+    with pytest.raises(UnknownName, match="kind of failure"):
+        simulated.fail("m01_j1_y", kind="hot")
+    simulated.fail("m01_j1_y", kind=kind)
+    cycles(100, lambda: desk.hold((0.0, 0.0, 1.0)))
+    cycles(100, lambda: desk.tell(do="release"))
+    assert desk.operation.shown.stuck.startswith("m01_j1_y has fallen, as limp or weak")
+    assert desk.operation.ways._finder.finish(60.0)
+    cycles(5, lambda: desk.tell(do="release"))
+    assert desk.operation.shown.planned.text == "out, with m01_j1_y limp: 0 % driven"
+    cycles(5, lambda: desk.hold((0.0, 0.0, 1.0)))
+    assert desk.operation.shown.mode == "holds"
+    assert "only the way that is planned can be driven" in desk.operation.shown.reason
+    cycles(5, lambda: desk.tell(do="release"))
+    cycles(150, lambda: along(desk, 1.0))
+    assert desk.operation.shown.reason == "the arm is at the end of the way"
+    measured = desk.operation.shown.measured
+    assert measured is not None
+    assert np.abs(measured - start)[1:].max() < 0.005
+    assert measured[0] == pytest.approx(0.8, abs=0.06)
+    simulated.close()
+
+
+def test_no_way_out_is_looked_for_while_all_joints_work() -> None:
+    desk = Desk(*bent_arm())
+    desk.operation.goes_on = True
+    desk.run(0.1, lambda: desk.hold((1.0, 0.0, 0.0)))
+    desk.tell(do="out")
+    desk.run(0.1, lambda: desk.tell(do="release"))
+    assert desk.operation.shown.planned.text == "no joint fails"
 
 
 def test_steps_are_the_keyframes_of_a_task_for_the_same_arm(tmp_path: Path) -> None:

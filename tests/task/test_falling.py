@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import pinposture as pp
-from pinposture.task.falling import LEAST_PULL, Fall, fall_of
+from pinposture.task.falling import LEAST_PULL, Fall, fall_of, torque_left
 
 STEP = 1e-4
 
@@ -62,6 +62,21 @@ def test_where_weight_does_not_tell_where_a_joint_falls_none_is_returned() -> No
     upright = arm.at(np.array([-np.pi / 2 + 0.5 * LEAST_PULL, 0.0, 0.0, 0.0, 0.0, 0.0]))
     assert fall_of(upright, 0, 0.0) is None
     assert fall_of(arm.at(np.array([-np.pi / 2 + 0.3, *np.zeros(5)])), 0, 0.0) is not None
+
+
+def test_where_a_joint_has_fallen_to_tells_what_its_drive_still_gives() -> None:
+    hinge = pp.ModuleTemplate("m", (pp.JointSpec("y", lower=-1.0, upper=1.0),), (0.1,))
+    arm = pp.Arm.from_modules([hinge] * 3)
+    q = np.array([0.1, 0.2, -0.1])
+    torque = 0.7 * abs(float(arm.at(q).gravity_torques[0]))
+    fall = fall_of(arm.at(q), 0, torque)
+    assert fall is not None
+    q[0] = fall.rest
+    assert torque_left(arm.at(q), 0) == pytest.approx(torque)
+    q[0] = 0.99
+    assert torque_left(arm.at(q), 0) == 0.0  # at its end stop
+    q[:] = 0.5 * np.pi, 0.0, 0.0
+    assert torque_left(arm.at(q), 0) == 0.0  # it hangs
 
 
 def test_a_slide_falls_to_its_end_stop() -> None:
