@@ -49,15 +49,25 @@ class Dynamics:
             numbers = [model.getJointId(name) for name in chain]
             joints = read_joints(model, placements, numbers)
         turns = np.array([placements[number].rotation for number in numbers])
-        inertias = list(model.inertias)
-        moments = np.array([inertias[number].inertia for number in numbers])
-        moments = turns @ moments @ turns.transpose(0, 2, 1)
-        levers = np.array([inertias[number].lever for number in numbers])
-        masses = np.array([inertias[number].mass for number in numbers])
+        inertias = [model.inertias[number] for number in numbers]
+        masses = np.array([inertia.mass for inertia in inertias])
+        levers = np.array([inertia.lever for inertia in inertias])
         centers = np.einsum("nij,nj->ni", turns, levers)
-        moments = moments[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        moments = turns @ np.array([inertia.inertia for inertia in inertias]) @ turns.transpose(0, 2, 1)
+        spreads = 0.5 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moments
+        spreads += np.einsum("n,ni,nj->nij", masses, centers, centers)
+        carried = masses.copy()
+        for joint in range(len(numbers) - 1, -1, -1):
+            if joints.parents[joint] > 0:
+                carried[joints.parents[joint] - 1] += carried[joint]
         of_joints = [joints.axes.ravel(), joints.offsets.ravel(), joints.ratios]
-        of_bodies = [masses, centers.ravel(), moments.ravel(), np.array(model.armature)]
+        of_bodies = [
+            masses,
+            (masses[:, None] * centers).ravel(),
+            spreads[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].ravel(),
+            carried,
+            np.array(model.armature),
+        ]
         self._indices = np.concatenate([joints.parents, joints.kinds, joints.columns])
         self._numbers = np.concatenate([*of_joints, *of_bodies, np.array(model.gravity.linear)])
 

@@ -125,15 +125,17 @@ class Bodies(NamedTuple):
 
     Attributes:
         masses: mass of each body, (k,).
-        centers: its centre of mass, (k, 3).
-        inertias: its moments of inertia about that, xx, yy, zz, xy, xz, yz, (k, 6).
+        first_moments: mass times centre of mass, (k, 3).
+        second_moments: sum of m r r^T over its masses m at r, xx, yy, zz, xy, xz, yz, (k, 6).
+        carried: mass of all bodies that each joint carries, (k,).
         armature: inertia of each drive, along its degree of freedom, (nv,).
         gravity: gravitational acceleration, (3,).
     """
 
     masses: Array1
-    centers: Array2
-    inertias: Array2
+    first_moments: Array2
+    second_moments: Array2
+    carried: Array1
     armature: Array1
     gravity: Array1
 

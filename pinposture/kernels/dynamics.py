@@ -1,11 +1,17 @@
 """Inverse dynamics of trees of joints: the torques of motions, of gravity, and along a path.
 
-Vectors of a body are in world axes and refer to the origin of its frame, so that a base far from the origin
-of the world costs no digits.
+Vectors of a body are in the axes of its frame and refer to its origin, where its masses are constant. Their
+second moments are S, the sum of m r r^T, and their first moments h, the sum of m r. With the acceleration a
+of the origin, the angular velocity w and the angular acceleration b, a point r accelerates by a + A r, where
+A r = b x r + w x (w x r). So a body of mass m takes the force m a + A h, and the moment h x a + v, where v is
+the axial vector of A S: that whose cross product with any vector is the difference of A S and its transpose.
+
+Weight needs no sum of forces: all that a joint carries weighs as much as its masses in their common centre.
 
 Passes along the joints treat several postures at once, one in each lane, so that the processor can compute
-them together: a row of a body has the number k of all lanes from `k * lanes` on. Kernels are compiled for
-`LANES` of them, and for one.
+them together: a row of a body has the number k of all lanes from `k * lanes` on. Each step of a pass waits
+for the one before; so the torques of weight, of a motion and of a push are computed in the same passes.
+Kernels are compiled for `LANES` of them, and for one.
 """
 
 from __future__ import annotations
@@ -26,58 +32,81 @@ from pinposture.kernels.arrays import (
     TorqueSamples,
 )
 from pinposture.kernels.compiled import compiled, inlined
-from pinposture.kernels.kinematics import rotation_about, turn_row
+from pinposture.kernels.kinematics import rotation_about
+
+Inertia = tuple[float, Three, tuple[float, float, float, float, float, float]]
+"""Mass, first moments, and second moments as those of `Bodies`."""
 
 LANES = 8
-"""Number of postures that are computed together. With 4 a path of 40 joints took 9 % longer."""
+"""Number of postures that are computed together. The torques along a path of 40 joints took 40 % longer with
+4, and as long with 16."""
 
 
 class RowLayout(NamedTuple):
-    """Where the row of a body has what, after the orientation of its frame.
+    """Where the row of a body has what.
 
-    A loop over lanes that reads and writes one row alone needs no check whether two overlap.
+    A loop over lanes that reads and writes one row alone needs no check whether two overlap. So a row takes
+    over from that of the frame that carries it, and hands on to it, in loops of their own.
     """
 
-    axis: int = 9
-    """The axis of the joint."""
+    turn: int = 0
+    """The orientation of its frame in the one that carries it, row by row."""
 
-    lever: int = 12
-    """The way to its origin from that of the frame that carries it."""
+    position: int = 9
+    """The position of the joint; after `place_bodies` that of a slide, and 0 of a joint that turns."""
 
-    center: int = 15
-    """The centre of mass."""
-
-    inertia: int = 18
-    """The moments of inertia."""
-
-    spin: int = 24
-    """The angular velocity."""
-
-    spin_rate: int = 27
-    """The angular acceleration."""
-
-    acceleration: int = 30
-    """The acceleration of the origin."""
-
-    force: int = 33
-    """The force that the body takes."""
-
-    moment: int = 36
-    """The moment that the body takes."""
-
-    speed: int = 39
+    speed: int = 10
     """The velocity of the joint."""
 
-    change: int = 40
+    change: int = 11
     """Its acceleration."""
 
-    torque: int = 41
-    """Its torque."""
+    push: int = 12
+    """Its acceleration from rest."""
 
-    other: int = 42
-    """Numbers of the frame that carries it."""
+    up: int = 13
+    """Minus the acceleration of gravity."""
 
-    size: int = 51
+    spin: int = 16
+    """The angular velocity."""
+
+    spin_rate: int = 19
+    """The angular acceleration."""
+
+    acceleration: int = 22
+    """The acceleration of the origin."""
+
+    push_rate: int = 25
+    """The angular acceleration from rest."""
+
+    push_acceleration: int = 28
+    """The acceleration of the origin from rest."""
+
+    first_moments: int = 31
+    """The first moments of all that the joint carries."""
+
+    force: int = 34
+    """The force that this takes."""
+
+    moment: int = 37
+    """The moment that this takes."""
+
+    push_force: int = 40
+    """The force of an acceleration from rest."""
+
+    push_moment: int = 43
+    """The moment of an acceleration from rest."""
+
+    weight: int = 46
+    """The torque of the joint that balances gravity."""
+
+    torque: int = 47
+    """That of the motion."""
+
+    push_torque: int = 48
+    """That of an acceleration from rest."""
+
+    size: int = 49
     """The length of the row."""
 
 
@@ -95,8 +124,8 @@ def unpack(indices: Ints1, numbers: Array1) -> tuple[Joints, Bodies]:
 
     Args:
         indices: parents, kinds and columns of the joints, one after the other, (3 k,).
-        numbers: their axes, offsets and ratios; masses, centers and inertias of the bodies; armature of the
-            drives, and gravity, (17 k + nv + 3,).
+        numbers: their axes, offsets and ratios; masses, first and second moments of the bodies, and the
+            masses that the joints carry; armature of the drives, and gravity, (18 k + nv + 3,).
     """
     k = len(indices) // 3
     joints = Joints(
@@ -109,9 +138,10 @@ def unpack(indices: Ints1, numbers: Array1) -> tuple[Joints, Bodies]:
     )
     bodies = Bodies(
         masses=numbers[7 * k : 8 * k],
-        centers=numbers[8 * k : 11 * k].reshape((k, 3)),
-        inertias=numbers[11 * k : 17 * k].reshape((k, 6)),
-        armature=numbers[17 * k : len(numbers) - 3],
+        first_moments=numbers[8 * k : 11 * k].reshape((k, 3)),
+        second_moments=numbers[11 * k : 17 * k].reshape((k, 6)),
+        carried=numbers[17 * k : 18 * k],
+        armature=numbers[18 * k : len(numbers) - 3],
         gravity=numbers[len(numbers) - 3 :],
     )
     return joints, bodies
@@ -165,6 +195,19 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 
 @inlined
+def three_of(values: Array2, u: int) -> Three:
+    """Return a row of three numbers."""
+    return values[u, 0], values[u, 1], values[u, 2]
+
+
+@inlined
+def inertia_of(bodies: Bodies, u: int) -> Inertia:
+    """Return mass, first and second moments of a body."""
+    s = bodies.second_moments[u]
+    return bodies.masses[u], three_of(bodies.first_moments, u), (s[0], s[1], s[2], s[3], s[4], s[5])
+
+
+@inlined
 def get(row: Array1, at: int, lanes: int, w: int) -> Three:
     """Return three numbers of a lane."""
     return row[at * lanes + w], row[(at + 1) * lanes + w], row[(at + 2) * lanes + w]
@@ -179,10 +222,25 @@ def put(row: Array1, at: int, lanes: int, w: int, a: Three) -> None:
 
 
 @inlined
-def copy_lanes(source: Array1, first: int, size: int, lanes: int, filled: Array1) -> None:
-    """Copy numbers of another row, in all lanes."""
-    for k in range(size * lanes):
-        filled[ROW.other * lanes + k] = source[first * lanes + k]
+def turned(row: Array1, lanes: int, w: int, a: Three) -> Three:
+    """Return a vector of a body in the axes of the frame that carries its joint."""
+    first = get(row, ROW.turn, lanes, w)
+    second = get(row, ROW.turn + 3, lanes, w)
+    third = get(row, ROW.turn + 6, lanes, w)
+    return dot(first, a), dot(second, a), dot(third, a)
+
+
+@inlined
+def turned_back(row: Array1, lanes: int, w: int, a: Three) -> Three:
+    """Return a vector in the axes of the frame that carries a joint in those of the body it carries."""
+    first = get(row, ROW.turn, lanes, w)
+    second = get(row, ROW.turn + 3, lanes, w)
+    third = get(row, ROW.turn + 6, lanes, w)
+    return (
+        first[0] * a[0] + second[0] * a[1] + third[0] * a[2],
+        first[1] * a[0] + second[1] * a[1] + third[1] * a[2],
+        first[2] * a[0] + second[2] * a[1] + third[2] * a[2],
+    )
 
 
 @inlined
@@ -198,202 +256,220 @@ def load_lanes(joints: Joints, values: Array2, first: int, at: int, lanes: int, 
 
 
 @inlined
-def unload_lanes(joints: Joints, first: int, lanes: int, rows: Array2, filled: Array2) -> None:
-    """Fill in the torques (s, nv) of all lanes, from one posture on."""
+def unload_lanes(joints: Joints, at: int, first: int, lanes: int, rows: Array2, filled: Array2) -> None:
+    """Add torques of all lanes to those of some postures (s, nv), from one on."""
     some = min(lanes, len(filled) - first)
-    filled[first : first + some] = 0.0
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
         ratio = joints.ratios[u]
         column = joints.columns[u]
         for w in range(some):
-            filled[first + w, column] += ratio * row[ROW.torque * lanes + w]
+            filled[first + w, column] += ratio * row[at * lanes + w]
 
 
 @inlined
-def place_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> None:
-    """Fill in orientations, axes, levers and centres of bodies, (k + 1, ROW.size lanes).
-
-    The positions of the joints are where their axes will be.
-    """
-    rows[0, : 9 * lanes] = 0.0
-    for w in range(lanes):
-        rows[0, w] = 1.0
-        rows[0, 4 * lanes + w] = 1.0
-        rows[0, 8 * lanes + w] = 1.0
-    for u in range(len(joints.kinds)):  # for all at once, because the next loop would wait for each
-        if joints.kinds[u] != SLIDES:
-            row = rows[u + 1]
-            for w in range(lanes):
-                cosine, sine = cosine_and_sine(row[ROW.axis * lanes + w])
-                row[ROW.axis * lanes + w] = cosine
-                row[(ROW.axis + 1) * lanes + w] = sine
+def place_bodies(joints: Joints, lanes: int, rows: Array2) -> None:
+    """Fill in the orientation of each body in the frame that carries it, for the positions of the joints."""
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
-        copy_lanes(rows[joints.parents[u]], 0, 9, lanes, row)
-        x = joints.axes[u, 0]
-        y = joints.axes[u, 1]
-        z = joints.axes[u, 2]
-        offset = (joints.offsets[u, 0], joints.offsets[u, 1], joints.offsets[u, 2])
-        center = (bodies.centers[u, 0], bodies.centers[u, 1], bodies.centers[u, 2])
-        slides = joints.kinds[u] == SLIDES
-        for w in range(lanes):
-            first = get(row, ROW.other, lanes, w)
-            second = get(row, ROW.other + 3, lanes, w)
-            third = get(row, ROW.other + 6, lanes, w)
-            axis = (dot(first, (x, y, z)), dot(second, (x, y, z)), dot(third, (x, y, z)))
-            lever = (dot(first, offset), dot(second, offset), dot(third, offset))
-            if slides:
-                lever = add(lever, scale(axis, row[ROW.axis * lanes + w]))
-            else:
-                turn = rotation_about(x, y, z, row[ROW.axis * lanes + w], row[(ROW.axis + 1) * lanes + w])
-                first = turn_row(first[0], first[1], first[2], turn)
-                second = turn_row(second[0], second[1], second[2], turn)
-                third = turn_row(third[0], third[1], third[2], turn)
-            put(row, 0, lanes, w, first)
-            put(row, 3, lanes, w, second)
-            put(row, 6, lanes, w, third)
-            put(row, ROW.axis, lanes, w, axis)
-            put(row, ROW.lever, lanes, w, lever)
-            put(row, ROW.center, lanes, w, (dot(first, center), dot(second, center), dot(third, center)))
+        x, y, z = three_of(joints.axes, u)
+        if joints.kinds[u] == SLIDES:
+            for w in range(lanes):
+                put(row, ROW.turn, lanes, w, (1.0, 0.0, 0.0))
+                put(row, ROW.turn + 3, lanes, w, (0.0, 1.0, 0.0))
+                put(row, ROW.turn + 6, lanes, w, (0.0, 0.0, 1.0))
+        else:
+            for w in range(lanes):
+                cosine, sine = cosine_and_sine(row[ROW.position * lanes + w])
+                turn = rotation_about(x, y, z, cosine, sine)
+                put(row, ROW.turn, lanes, w, (turn[0], turn[1], turn[2]))
+                put(row, ROW.turn + 3, lanes, w, (turn[3], turn[4], turn[5]))
+                put(row, ROW.turn + 6, lanes, w, (turn[6], turn[7], turn[8]))
+            row[ROW.position * lanes : ROW.speed * lanes] = 0.0
 
 
 @inlined
-def turn_inertias(bodies: Bodies, lanes: int, rows: Array2) -> None:
-    """Fill in the moments of inertia of placed bodies, xx, yy, zz, xy, xz, yz, world axes."""
-    for u in range(len(bodies.masses)):
-        row = rows[u + 1]
-        xx = bodies.inertias[u, 0]
-        yy = bodies.inertias[u, 1]
-        zz = bodies.inertias[u, 2]
-        xy = bodies.inertias[u, 3]
-        xz = bodies.inertias[u, 4]
-        yz = bodies.inertias[u, 5]
-        inertia: Nine = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
-        for w in range(lanes):
-            a = get(row, 0, lanes, w)
-            b = get(row, 3, lanes, w)
-            c = get(row, 6, lanes, w)
-            first = turn_row(a[0], a[1], a[2], inertia)
-            second = turn_row(b[0], b[1], b[2], inertia)
-            third = turn_row(c[0], c[1], c[2], inertia)
-            put(row, ROW.inertia, lanes, w, (dot(first, a), dot(second, b), dot(third, c)))
-            put(row, ROW.inertia + 3, lanes, w, (dot(first, b), dot(first, c), dot(second, c)))
+def acceleration_field(spin: Three, spin_rate: Three) -> Nine:
+    """Return A, row by row: a point r of a body accelerates by A r more than its origin."""
+    xx = spin[0] * spin[0]
+    yy = spin[1] * spin[1]
+    zz = spin[2] * spin[2]
+    xy = spin[0] * spin[1]
+    xz = spin[0] * spin[2]
+    yz = spin[1] * spin[2]
+    x, y, z = spin_rate
+    return -yy - zz, xy - z, xz + y, xy + z, -xx - zz, yz - x, xz - y, yz + x, -xx - yy
 
 
 @inlined
-def turned_by(row: Array1, lanes: int, w: int, a: Three) -> Three:
-    """Return the angular momentum of a placed body that turns about its centre of mass."""
-    xx, yy, zz = get(row, ROW.inertia, lanes, w)
-    xy, xz, yz = get(row, ROW.inertia + 3, lanes, w)
-    return (
-        xx * a[0] + xy * a[1] + xz * a[2],
-        xy * a[0] + yy * a[1] + yz * a[2],
-        xz * a[0] + yz * a[1] + zz * a[2],
+def applied(field: Nine, a: Three) -> Three:
+    """Return a matrix times a vector."""
+    return dot(field[:3], a), dot(field[3:6], a), dot(field[6:], a)
+
+
+@inlined
+def put_inertial(
+    row: Array1, at: int, lanes: int, w: int, inertia: Inertia, origin: Three, field: Nine
+) -> None:
+    """Store the force and the moment that accelerate a body.
+
+    Args:
+        row: the row of the body.
+        at: where to store the force; the moment comes after it.
+        lanes: number of lanes.
+        w: the lane.
+        inertia: of the body.
+        origin: acceleration of its origin.
+        field: from `acceleration_field`.
+    """
+    mass, first, (xx, yy, zz, xy, xz, yz) = inertia
+    along_x = (xx, xy, xz)
+    along_y = (xy, yy, yz)
+    along_z = (xz, yz, zz)
+    turning = (
+        dot(field[6:], along_y) - dot(field[3:6], along_z),
+        dot(field[:3], along_z) - dot(field[6:], along_x),
+        dot(field[3:6], along_x) - dot(field[:3], along_y),
     )
+    put(row, at, lanes, w, add(scale(origin, mass), applied(field, first)))
+    put(row, at + 3, lanes, w, add(cross(first, origin), turning))
 
 
 @inlined
-def move_bodies_by(joints: Joints, bodies: Bodies, upward: Three, lanes: int, rows: Array2) -> None:
-    """Compute the torques of a motion of placed bodies, without armature.
+def spread_motion(
+    joints: Joints, bodies: Bodies, moves: bool, pushes: bool, lanes: int, rows: Array2
+) -> None:
+    """Fill in gravity and motion of placed bodies, and what they take for it, from the base to the tips.
 
     Args:
         joints: the joints.
         bodies: the bodies.
-        upward: acceleration of the base; minus that of gravity.
-        lanes: number of postures.
+        moves: whether there is a motion.
+        pushes: whether there is an acceleration from rest, too.
+        lanes: number of lanes.
         rows: the placed bodies, with velocities and accelerations of their joints.
     """
-    rows[0, ROW.spin * lanes : ROW.speed * lanes] = 0.0
+    end = ROW.first_moments if pushes else (ROW.push_rate if moves else ROW.spin)
+    rows[0] = 0.0
     for w in range(lanes):
-        put(rows[0], ROW.acceleration, lanes, w, upward)
+        put(rows[0], ROW.up, lanes, w, (-bodies.gravity[0], -bodies.gravity[1], -bodies.gravity[2]))
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
-        copy_lanes(rows[joints.parents[u]], ROW.spin, 9, lanes, row)
-        mass = bodies.masses[u]
+        carrier = rows[joints.parents[u]]
+        for k in range(ROW.up * lanes, end * lanes):
+            row[k] = carrier[k]
         slides = joints.kinds[u] == SLIDES
+        unit = three_of(joints.axes, u)
+        offset = three_of(joints.offsets, u)
+        inertia = inertia_of(bodies, u)
         for w in range(lanes):
-            axis = get(row, ROW.axis, lanes, w)
-            lever = get(row, ROW.lever, lanes, w)
-            rate = scale(axis, row[ROW.speed * lanes + w])
-            change = scale(axis, row[ROW.change * lanes + w])
-            spin = get(row, ROW.other, lanes, w)
-            spin_rate = get(row, ROW.other + 3, lanes, w)
-            origin = add(get(row, ROW.other + 6, lanes, w), cross(spin_rate, lever))
-            origin = add(origin, cross(spin, cross(spin, lever)))
-            across = cross(spin, rate)
-            if slides:
-                origin = add(origin, add(change, scale(across, 2.0)))
-            else:
-                spin_rate = add(spin_rate, add(change, across))
-                spin = add(spin, rate)
-            center = get(row, ROW.center, lanes, w)
-            pull = add(origin, add(cross(spin_rate, center), cross(spin, cross(spin, center))))
-            force = scale(pull, mass)
-            turning = turned_by(row, lanes, w, spin_rate)
-            turning = add(turning, cross(spin, turned_by(row, lanes, w, spin)))
-            put(row, ROW.spin, lanes, w, spin)
-            put(row, ROW.spin_rate, lanes, w, spin_rate)
-            put(row, ROW.acceleration, lanes, w, origin)
-            put(row, ROW.force, lanes, w, force)
-            put(row, ROW.moment, lanes, w, add(cross(center, force), turning))
-    sum_forces(joints, lanes, rows)
+            lever = add(offset, scale(unit, row[ROW.position * lanes + w]))
+            put(row, ROW.up, lanes, w, turned_back(row, lanes, w, get(row, ROW.up, lanes, w)))
+            put(row, ROW.first_moments, lanes, w, inertia[1])
+            if moves:
+                spin = get(row, ROW.spin, lanes, w)
+                spin_rate = get(row, ROW.spin_rate, lanes, w)
+                origin = get(row, ROW.acceleration, lanes, w)
+                origin = add(origin, applied(acceleration_field(spin, spin_rate), lever))
+                spin = turned_back(row, lanes, w, spin)
+                spin_rate = turned_back(row, lanes, w, spin_rate)
+                origin = turned_back(row, lanes, w, origin)
+                rate = scale(unit, row[ROW.speed * lanes + w])
+                change = scale(unit, row[ROW.change * lanes + w])
+                across = cross(spin, rate)
+                if slides:
+                    origin = add(origin, add(change, scale(across, 2.0)))
+                else:
+                    spin_rate = add(spin_rate, add(change, across))
+                    spin = add(spin, rate)
+                put(row, ROW.spin, lanes, w, spin)
+                put(row, ROW.spin_rate, lanes, w, spin_rate)
+                put(row, ROW.acceleration, lanes, w, origin)
+                field = acceleration_field(spin, spin_rate)
+                put_inertial(row, ROW.force, lanes, w, inertia, origin, field)
+            if pushes:
+                spin_rate = get(row, ROW.push_rate, lanes, w)
+                origin = get(row, ROW.push_acceleration, lanes, w)
+                origin = turned_back(row, lanes, w, add(origin, cross(spin_rate, lever)))
+                spin_rate = turned_back(row, lanes, w, spin_rate)
+                change = scale(unit, row[ROW.push * lanes + w])
+                if slides:
+                    origin = add(origin, change)
+                else:
+                    spin_rate = add(spin_rate, change)
+                put(row, ROW.push_rate, lanes, w, spin_rate)
+                put(row, ROW.push_acceleration, lanes, w, origin)
+                field = acceleration_field((0.0, 0.0, 0.0), spin_rate)
+                put_inertial(row, ROW.push_force, lanes, w, inertia, origin, field)
 
 
 @inlined
-def push_bodies(joints: Joints, bodies: Bodies, lanes: int, rows: Array2) -> None:
-    """Compute the torques that accelerate placed bodies from rest; as `move_bodies_by` without speeds."""
-    rows[0, ROW.spin_rate * lanes : ROW.force * lanes] = 0.0
-    for u in range(len(joints.kinds)):
-        row = rows[u + 1]
-        copy_lanes(rows[joints.parents[u]], ROW.spin_rate, 6, lanes, row)
-        mass = bodies.masses[u]
-        slides = joints.kinds[u] == SLIDES
-        for w in range(lanes):
-            change = scale(get(row, ROW.axis, lanes, w), row[ROW.change * lanes + w])
-            spin_rate = get(row, ROW.other, lanes, w)
-            origin = add(get(row, ROW.other + 3, lanes, w), cross(spin_rate, get(row, ROW.lever, lanes, w)))
-            if slides:
-                origin = add(origin, change)
-            else:
-                spin_rate = add(spin_rate, change)
-            center = get(row, ROW.center, lanes, w)
-            force = scale(add(origin, cross(spin_rate, center)), mass)
-            put(row, ROW.spin_rate, lanes, w, spin_rate)
-            put(row, ROW.acceleration, lanes, w, origin)
-            put(row, ROW.force, lanes, w, force)
-            put(row, ROW.moment, lanes, w, add(cross(center, force), turned_by(row, lanes, w, spin_rate)))
-    sum_forces(joints, lanes, rows)
+def hand_on(row: Array1, at: int, lanes: int, w: int, unit: Three, lever: Three, slides: bool) -> float:
+    """Convert force and moment on what a joint carries to the frame that carries the joint.
+
+    Args:
+        row: the row of the body that the joint carries.
+        at: where it has the force; the moment comes after it.
+        lanes: number of lanes.
+        w: the lane.
+        unit: the axis of the joint.
+        lever: the way to its origin.
+        slides: whether it slides.
+
+    Returns:
+        Their part along the joint.
+    """
+    force = get(row, at, lanes, w)
+    moment = get(row, at + 3, lanes, w)
+    torque = dot(unit, force if slides else moment)
+    force = turned(row, lanes, w, force)
+    put(row, at, lanes, w, force)
+    put(row, at + 3, lanes, w, add(turned(row, lanes, w, moment), cross(lever, force)))
+    return torque
 
 
 @inlined
-def lift_bodies(joints: Joints, bodies: Bodies, upward: Three, lanes: int, rows: Array2) -> None:
-    """Compute the torques of placed bodies at rest; as `move_bodies_by` without motion."""
-    for u in range(len(joints.kinds)):
-        row = rows[u + 1]
-        force = scale(upward, bodies.masses[u])
-        for w in range(lanes):
-            put(row, ROW.force, lanes, w, force)
-            put(row, ROW.moment, lanes, w, cross(get(row, ROW.center, lanes, w), force))
-    sum_forces(joints, lanes, rows)
+def gather_torques(
+    joints: Joints, bodies: Bodies, moves: bool, pushes: bool, lanes: int, rows: Array2
+) -> None:
+    """Add up first moments, forces and moments from the tips to the base, and fill in the torques.
 
-
-@inlined
-def sum_forces(joints: Joints, lanes: int, rows: Array2) -> None:
-    """Add up forces and moments from the tips to the base, and take their part along each joint."""
+    Args:
+        joints: the joints.
+        bodies: the bodies.
+        moves: as for `spread_motion`.
+        pushes: likewise.
+        lanes: number of lanes.
+        rows: what `spread_motion` has filled in.
+    """
+    end = ROW.weight if pushes else (ROW.push_force if moves else ROW.force)
     for u in range(len(joints.kinds) - 1, -1, -1):
         row = rows[u + 1]
         slides = joints.kinds[u] == SLIDES
+        unit = three_of(joints.axes, u)
+        offset = three_of(joints.offsets, u)
+        mass = bodies.carried[u]
         for w in range(lanes):
-            axis = get(row, ROW.axis, lanes, w)
-            force = get(row, ROW.force, lanes, w)
-            moment = get(row, ROW.moment, lanes, w)
-            row[ROW.torque * lanes + w] = dot(axis, force if slides else moment)
-            put(row, ROW.other, lanes, w, force)
-            put(row, ROW.other + 3, lanes, w, add(moment, cross(get(row, ROW.lever, lanes, w), force)))
-        parent = rows[joints.parents[u]]
-        for k in range(6 * lanes):
-            parent[ROW.force * lanes + k] += row[ROW.other * lanes + k]
+            lever = add(offset, scale(unit, row[ROW.position * lanes + w]))
+            first = get(row, ROW.first_moments, lanes, w)
+            lifted = scale(unit, mass) if slides else cross(unit, first)
+            row[ROW.weight * lanes + w] = dot(get(row, ROW.up, lanes, w), lifted)
+            put(row, ROW.first_moments, lanes, w, add(turned(row, lanes, w, first), scale(lever, mass)))
+            if moves:
+                row[ROW.torque * lanes + w] = hand_on(row, ROW.force, lanes, w, unit, lever, slides)
+            if pushes:
+                row[ROW.push_torque * lanes + w] = hand_on(row, ROW.push_force, lanes, w, unit, lever, slides)
+        carrier = rows[joints.parents[u]]
+        for k in range(ROW.first_moments * lanes, end * lanes):
+            carrier[k] += row[k]
+
+
+@inlined
+def find_torques(joints: Joints, bodies: Bodies, moves: bool, pushes: bool, lanes: int, rows: Array2) -> None:
+    """Fill in the torques of gravity and of motions, without armature; arguments as for `spread_motion`."""
+    place_bodies(joints, lanes, rows)
+    spread_motion(joints, bodies, moves, pushes, lanes, rows)
+    gather_torques(joints, bodies, moves, pushes, lanes, rows)
 
 
 @inlined
@@ -409,19 +485,16 @@ def move_some(
     """Compute `inverse_dynamics`, some motions at a time."""
     joints, bodies = unpack(indices, numbers)
     rows = np.empty((len(joints.kinds) + 1, ROW.size * lanes))
-    g = bodies.gravity
-    upward = (-g[0], -g[1], -g[2])
-    for first in range(0, len(positions), lanes):
-        load_lanes(joints, positions, first, ROW.axis, lanes, rows)
-        load_lanes(joints, velocities, first, ROW.speed, lanes, rows)
-        load_lanes(joints, accelerations, first, ROW.change, lanes, rows)
-        place_bodies(joints, bodies, lanes, rows)
-        turn_inertias(bodies, lanes, rows)
-        move_bodies_by(joints, bodies, upward, lanes, rows)
-        unload_lanes(joints, first, lanes, rows, filled)
     for s in range(len(filled)):
         for j in range(filled.shape[1]):
-            filled[s, j] += bodies.armature[j] * accelerations[s, j]
+            filled[s, j] = bodies.armature[j] * accelerations[s, j]
+    for first in range(0, len(positions), lanes):
+        load_lanes(joints, positions, first, ROW.position, lanes, rows)
+        load_lanes(joints, velocities, first, ROW.speed, lanes, rows)
+        load_lanes(joints, accelerations, first, ROW.change, lanes, rows)
+        find_torques(joints, bodies, True, False, lanes, rows)
+        unload_lanes(joints, ROW.weight, first, lanes, rows, filled)
+        unload_lanes(joints, ROW.torque, first, lanes, rows, filled)
 
 
 @compiled
@@ -454,13 +527,11 @@ def lift_some(indices: Ints1, numbers: Array1, positions: Array2, lanes: int, fi
     """Compute `gravity_torques`, some postures at a time."""
     joints, bodies = unpack(indices, numbers)
     rows = np.empty((len(joints.kinds) + 1, ROW.size * lanes))
-    g = bodies.gravity
-    upward = (-g[0], -g[1], -g[2])
+    filled[:] = 0.0
     for first in range(0, len(positions), lanes):
-        load_lanes(joints, positions, first, ROW.axis, lanes, rows)
-        place_bodies(joints, bodies, lanes, rows)
-        lift_bodies(joints, bodies, upward, lanes, rows)
-        unload_lanes(joints, first, lanes, rows, filled)
+        load_lanes(joints, positions, first, ROW.position, lanes, rows)
+        find_torques(joints, bodies, False, False, lanes, rows)
+        unload_lanes(joints, ROW.weight, first, lanes, rows, filled)
 
 
 @compiled
@@ -474,12 +545,15 @@ def gravity_torques(indices: Ints1, numbers: Array1, positions: Array2, filled: 
 
 @inlined
 def largest_shares(torques: Array2, effort: Array1, some: int, first: int, filled: Array1) -> None:
-    """Fill in the largest torque of each posture relative to its limit, from one posture on."""
+    """Fill in the largest torque of some postures relative to its limit, from one posture on."""
+    largest = np.zeros(LANES)
+    for j in range(len(effort)):
+        per_torque = 1.0 / effort[j]
+        for w in range(LANES):
+            share = per_torque * abs(torques[w, j])
+            largest[w] = share if share > largest[w] else largest[w]
     for w in range(some):
-        largest = 0.0
-        for j in range(len(effort)):
-            largest = max(largest, abs(torques[w, j]) / effort[j])
-        filled[first + w] = largest
+        filled[first + w] = largest[w]
 
 
 @compiled
@@ -515,8 +589,6 @@ def step_loads(
     accelerations = np.empty((LANES, nv))
     torques = np.empty((LANES, nv))
     reached = start.copy()
-    g = bodies.gravity
-    upward = (-g[0], -g[1], -g[2])
     for first in range(0, len(moving), LANES):
         some = min(LANES, len(moving) - first)
         for w in range(LANES):
@@ -527,19 +599,17 @@ def step_loads(
                 positions[w, j] = reached[j]
                 velocities[w, j] = (moves[s, j] + moves[s + 1, j]) / (2.0 * dt)
                 accelerations[w, j] = (moves[s + 1, j] - moves[s, j]) / dt**2
-        load_lanes(joints, positions, 0, ROW.axis, LANES, rows)
+        load_lanes(joints, positions, 0, ROW.position, LANES, rows)
         load_lanes(joints, velocities, 0, ROW.speed, LANES, rows)
         load_lanes(joints, accelerations, 0, ROW.change, LANES, rows)
-        place_bodies(joints, bodies, LANES, rows)
-        turn_inertias(bodies, LANES, rows)
-        lift_bodies(joints, bodies, upward, LANES, rows)
-        unload_lanes(joints, 0, LANES, rows, torques)
+        find_torques(joints, bodies, True, False, LANES, rows)
+        torques[:] = 0.0
+        unload_lanes(joints, ROW.weight, 0, LANES, rows, torques)
         largest_shares(torques, effort, some, first, held)
-        move_bodies_by(joints, bodies, upward, LANES, rows)
-        unload_lanes(joints, 0, LANES, rows, torques)
         for w in range(LANES):
             for j in range(nv):
                 torques[w, j] += bodies.armature[j] * accelerations[w, j]
+        unload_lanes(joints, ROW.torque, 0, LANES, rows, torques)
         largest_shares(torques, effort, some, first, moving)
 
 
@@ -573,9 +643,9 @@ def path_torques(
     velocities = np.empty((LANES, nv))
     accelerations = np.empty((LANES, nv))
     changes = np.empty((LANES, nv))
-    floating = (0.0, 0.0, 0.0)
-    g = bodies.gravity
-    upward = (-g[0], -g[1], -g[2])
+    filled.a[:] = 0.0
+    filled.b[:] = 0.0
+    filled.c[:] = 0.0
     for first in range(0, samples, LANES):
         for w in range(LANES):
             place = min(first + w, samples - 1) * pieces / (samples - 1)
@@ -591,18 +661,14 @@ def path_torques(
                 velocities[w, j] = (one + t * (2.0 * square + t * 3.0 * cubic)) / dt
                 accelerations[w, j] = velocities[w, j] / dt
                 changes[w, j] = (2.0 * square + 6.0 * t * cubic) / dt**2
-        load_lanes(joints, positions, 0, ROW.axis, LANES, rows)
-        place_bodies(joints, bodies, LANES, rows)
-        turn_inertias(bodies, LANES, rows)
-        lift_bodies(joints, bodies, upward, LANES, rows)
-        unload_lanes(joints, first, LANES, rows, filled.c)
-        load_lanes(joints, accelerations, 0, ROW.change, LANES, rows)
-        push_bodies(joints, bodies, LANES, rows)
-        unload_lanes(joints, first, LANES, rows, filled.a)
+        load_lanes(joints, positions, 0, ROW.position, LANES, rows)
         load_lanes(joints, velocities, 0, ROW.speed, LANES, rows)
         load_lanes(joints, changes, 0, ROW.change, LANES, rows)
-        move_bodies_by(joints, bodies, floating, LANES, rows)
-        unload_lanes(joints, first, LANES, rows, filled.b)
+        load_lanes(joints, accelerations, 0, ROW.push, LANES, rows)
+        find_torques(joints, bodies, True, True, LANES, rows)
+        unload_lanes(joints, ROW.push_torque, first, LANES, rows, filled.a)
+        unload_lanes(joints, ROW.torque, first, LANES, rows, filled.b)
+        unload_lanes(joints, ROW.weight, first, LANES, rows, filled.c)
         for w in range(min(LANES, samples - first)):
             for j in range(nv):
                 filled.a[first + w, j] += bodies.armature[j] * accelerations[w, j]
@@ -625,39 +691,36 @@ def gravity_gradient(indices: Ints1, numbers: Array1, positions: Array1, filled:
     """
     joints, bodies = unpack(indices, numbers)
     count = len(joints.kinds)
-    placed = np.empty((count + 1, ROW.size))
-    carried = np.zeros((count + 1, 4))  # sum of masses, and of masses times levers, from the tips to the base
-    load_lanes(joints, positions.reshape((1, -1)), 0, ROW.axis, 1, placed)
-    place_bodies(joints, bodies, 1, placed)
-    g = bodies.gravity
-    upward = (-g[0], -g[1], -g[2])
-    for u in range(count - 1, -1, -1):
-        row = carried[u + 1]
-        row[0] += bodies.masses[u]
-        put(
-            row,
-            1,
-            1,
-            0,
-            add(get(row, 1, 1, 0), scale(get(placed[u + 1], ROW.center, 1, 0), bodies.masses[u])),
-        )
-        parent = carried[joints.parents[u]]
-        parent[0] += row[0]
-        passed = add(get(row, 1, 1, 0), scale(get(placed[u + 1], ROW.lever, 1, 0), row[0]))
-        put(parent, 1, 1, 0, add(get(parent, 1, 1, 0), passed))
+    rows = np.empty((count + 1, ROW.size))
+    load_lanes(joints, positions.reshape((1, -1)), 0, ROW.position, 1, rows)
+    find_torques(joints, bodies, False, False, 1, rows)
+    axes = np.empty((count, 3))
+    frames = np.zeros((count + 1, 9))  # their axes, in those of the base
+    frames[0, 0] = 1.0
+    frames[0, 4] = 1.0
+    frames[0, 8] = 1.0
+    upward = get(rows[0], ROW.up, 1, 0)
     filled[:] = 0.0
     for u in range(count):
-        axis = get(placed[u + 1], ROW.axis, 1, 0)
-        lifted = scale(axis, carried[u + 1, 0])  # motion of the masses, per motion of the joint
+        row = rows[u + 1]
+        carrier = frames[joints.parents[u]]
+        unit = three_of(joints.axes, u)
+        lifted = scale(unit, bodies.carried[u])  # motion of the masses, per motion of the joint
         if joints.kinds[u] != SLIDES:
-            lifted = cross(axis, get(carried[u + 1], 1, 1, 0))
+            offset = three_of(joints.offsets, u)
+            first = get(row, ROW.first_moments, 1, 0)  # about the origin of the frame that carries it
+            lifted = cross(unit, add(first, scale(offset, -bodies.carried[u])))
+        lifted = turned(carrier, 1, 0, lifted)
+        put(axes[u], 0, 1, 0, turned(carrier, 1, 0, unit))
+        for k in range(0, 9, 3):
+            put(frames[u + 1], k, 1, 0, turned_back(row, 1, 0, get(carrier, k, 1, 0)))
         i = joints.columns[u]
         frame = u + 1
         while frame > 0:
             v = frame - 1
             if joints.kinds[v] != SLIDES:
                 j = joints.columns[v]
-                turn = get(placed[frame], ROW.axis, 1, 0)
+                turn = get(axes[v], 0, 1, 0)
                 slope = joints.ratios[u] * joints.ratios[v] * dot(upward, cross(turn, lifted))
                 filled[i, j] += slope
                 if u != v:
