@@ -210,7 +210,7 @@ def measure_torques(joints: int, speed: float, effort: float, draws: int) -> dic
         path = pp.plan(strong.at(start), pp.Target.from_configuration(strong, goal), limits=limits)
         timed.append(pp.retime(path, limits, effort=True))
         bounds.append(np.array([np.full(arm.nv, speed), strong.effort]))
-        rest = np.pad(timed[-1].path.smooth_offset(timed[-1].places), ((1, 1), (0, 0)), mode="edge")
+        rest = np.pad(timed[-1].path.smooth_offset(timed[-1].s), ((1, 1), (0, 0)), mode="edge")
         steps = np.diff(rest, axis=0) / SHORT_CYCLE
         q = arm.integrate(path.start, rest[1:-1])
         rates = (steps[1:] + steps[:-1]) / 2.0

@@ -255,7 +255,7 @@ def measure(drawn: Trapped, _: None) -> Mapping[str, Any]:
     if way.path is None:
         return {**columns, "kept": None, "left": None}
     timed = pp.retime(way.path, LIMITS)
-    commands = way.path.positions + way.path.smooth_offset(timed.places)
+    commands = way.path.positions + way.path.smooth_offset(timed.s)
     rows = perform(arm, q, commands, drawn.column)
     left = float(np.abs(arm.difference(rows[-1], way.path.configuration(way.path.end))).max())
     return {**columns, "kept": clearance(arm, rows[::CHECKED], drawn.scene), "left": left}

@@ -98,7 +98,7 @@ from pinposture.errors import (
     enumerated,
     warn_caller,
 )
-from pinposture.kernels.arrays import Screws
+from pinposture.kernels.arrays import FULL_TURN, Screws
 from pinposture.schema import as_plain, read_plain
 from pinposture.storage import settled
 from pinposture.units import CONVERGED, ROUNDING, length_text
@@ -754,7 +754,7 @@ class Arm(ConfigurationSpace):
     @cached_property
     def multi_turn(self) -> NDArray[np.bool_]:
         """True for joints that can reach the same posture at positions a full turn apart, (nv,)."""
-        room = self.limits.upper - self.limits.lower > 2.0 * np.pi
+        room = self.limits.upper - self.limits.lower > FULL_TURN
         alone = np.bincount(self.chain.columns, minlength=self.nv) == 1
         return np.asarray(room & alone & ~self.slides & ~self.kinematics.endless)
 
@@ -1655,18 +1655,17 @@ def nearest_turns(arm: Arm, q: Array, near: Array | None, position_limits: Array
     if not np.any(multi_turn):
         return q
     positions = arm.difference(arm.origin, q)
-    turn = 2.0 * np.pi
     preferred = arm._stretched if near is None else arm.difference(arm.origin, near)
     lower, upper = (arm.limits.lower, arm.limits.upper) if position_limits is None else position_limits
-    away = (preferred - positions) / turn
+    away = (preferred - positions) / FULL_TURN
     turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - ROUNDING)
-    least = np.ceil((lower - positions) / turn - ROUNDING)
-    most = np.floor((upper - positions) / turn + ROUNDING)
+    least = np.ceil((lower - positions) / FULL_TURN - ROUNDING)
+    most = np.floor((upper - positions) / FULL_TURN + ROUNDING)
     turns = np.where(multi_turn & (least <= most), np.maximum(np.minimum(turns, most), least), 0.0)
     if not np.any(turns):
         return q
     return arm.integrate(
-        q, np.where(turns == 0.0, 0.0, np.clip(positions + turn * turns, lower, upper) - positions)
+        q, np.where(turns == 0.0, 0.0, np.clip(positions + FULL_TURN * turns, lower, upper) - positions)
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector, float_array, make_read_only
 from pinposture.errors import InvalidValue, warn_caller
+from pinposture.kernels.arrays import FULL_TURN
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,6 @@ MOST_LINKS = 10_001
 """Most links of a description: 10,000 joints in a row, all but one fixed, take Pinocchio 15 s."""
 SLACK = 1e-4
 """How far outside its limits a joint may be without a warning [rad or m]: rounding to four digits."""
-FULL_TURN = 2.0 * np.pi
 
 
 class DegreesSettings(NamedTuple):

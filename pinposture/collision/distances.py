@@ -20,10 +20,8 @@ from pinposture.arm.weight import find_frame
 from pinposture.collision.solids import Piece, Solid, join_trees
 from pinposture.kernels.arrays import (
     BLOCK,
-    INSIDE,
     OTHERWISE,
-    PIECE,
-    SEGMENT,
+    SOLID,
     Contacts,
     MotionSearch,
     Pairs,
@@ -304,14 +302,17 @@ class PairDistances:
         self._local = np.array([[solid.start, solid.end] for solid in bodies]).reshape(-1, 2, 3)
         self._turns = np.array([solid.rotation for solid in bodies]).reshape(-1, 3, 3)
         self._shifts = np.array([solid.position for solid in bodies]).reshape(-1, 3, 1)
-        kinds = np.array([SEGMENT] * len(bodies) + [solid.kind for solid in fixed], dtype=np.int64)
+        kinds = np.array([SOLID.segment] * len(bodies) + [solid.kind for solid in fixed], dtype=np.int64)
         exact = [solid.round for solid in bodies] + [solid.exact for solid in fixed]
         self._kinds = kinds
         self._exact = np.array(exact, dtype=np.bool_)
         self._coarse = np.array([False] * len(bodies) + [solid.coarse for solid in fixed], dtype=np.bool_)
         deep = np.zeros(len(fixed)) if depths is None else np.asarray(depths, dtype=np.float64)
         self._depths = np.concatenate([np.zeros(len(bodies)), deep])
-        round_radii = [solid.radius if solid.kind in (SEGMENT, PIECE, INSIDE) else 0.0 for solid in fixed]
+        round_radii = [
+            solid.radius if solid.kind in (SOLID.segment, SOLID.piece, SOLID.inside) else 0.0
+            for solid in fixed
+        ]
         nothing = np.zeros(0, dtype=np.int64)
         self._arrays = Pairs(
             first=nothing,
@@ -350,7 +351,7 @@ class PairDistances:
         kinds = self._kinds[self.second]
         # For a closed surface, the inside test is exact for the whole capsule.
         exact = self._exact[self.first] & self._exact[self.second]
-        exact |= (kinds == INSIDE) | self._coarse[self.second]
+        exact |= (kinds == SOLID.inside) | self._coarse[self.second]
         self._arrays = self._arrays._replace(
             first=self.first,
             second=self.second,
@@ -362,7 +363,9 @@ class PairDistances:
         self._open = int(np.count_nonzero(~exact))
         self._sides = np.column_stack([self.first, self.second])
         # Coal ignores the radius of the points of a cloud, and depths.
-        self._left_out = np.where(kinds == PIECE, self._arrays.radii[self.second], -self._depths[self.second])
+        self._left_out = np.where(
+            kinds == SOLID.piece, self._arrays.radii[self.second], -self._depths[self.second]
+        )
 
     def with_obstacles(self, changes: Mapping[int, Solid]) -> PairDistances:
         """Return the distances with some obstacles, by index, replaced by others of the same kind.
@@ -686,7 +689,10 @@ class PairDistances:
         ends = np.concatenate([self._ends(placements)[0], self._arrays.lines])
         moving = ends[self.first[pair]]
         still = ends[self.second[pair]]
-        return moving, np.stack([point, point]) if self._arrays.kinds[pair] in (PIECE, INSIDE) else still
+        return moving, np.stack([point, point]) if self._arrays.kinds[pair] in (
+            SOLID.piece,
+            SOLID.inside,
+        ) else still
 
     def _ends(self, placements: JointFrames) -> Array:
         """Return the axis ends of all bodies, (s, bodies, 2, 3) [m], world frame."""

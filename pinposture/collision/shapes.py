@@ -33,7 +33,7 @@ from pinposture._validation import (
 from pinposture.collision.files import Triangles, merge_corners, read_mesh, scale_factor
 from pinposture.collision.solids import Solid, Tree, capsule_around, z_along
 from pinposture.errors import InvalidValue, warn_caller
-from pinposture.kernels.arrays import BOX, CYLINDER, INSIDE, PIECE, PLANE, SEGMENT
+from pinposture.kernels.arrays import SOLID
 from pinposture.schema import (
     AS_GIVEN,
     CheckedBy,
@@ -208,7 +208,9 @@ class Sphere(Described):
         center = np.array(self.center)
         half = np.full(3, self.radius)
         geometry = coal.Sphere(self.radius)
-        return Solid(geometry, np.eye(3), center, center, center, self.radius, center, half, SEGMENT, True)
+        return Solid(
+            geometry, np.eye(3), center, center, center, self.radius, center, half, SOLID.segment, True
+        )
 
 
 @declared()
@@ -230,7 +232,7 @@ class Rounded(Described):
     @property
     def cap(self) -> float:
         """How far it extends beyond start and end [m]."""
-        return self.radius if self.primitive == SEGMENT else 0.0
+        return self.radius if self.primitive == SOLID.segment else 0.0
 
     def solid(self) -> Solid:
         """Return it as a solid."""
@@ -239,7 +241,7 @@ class Rounded(Described):
         long = float(np.linalg.norm(end - start))
         half = np.array([self.radius, self.radius, long / 2.0 + self.cap])
         center = (start + end) / 2.0
-        geometry = (coal.Capsule if self.primitive == SEGMENT else coal.Cylinder)(self.radius, long)
+        geometry = (coal.Capsule if self.primitive == SOLID.segment else coal.Cylinder)(self.radius, long)
         turn = z_along(end - start)
         return Solid(geometry, turn, center, start, end, self.radius, center, half, self.primitive, True)
 
@@ -261,7 +263,7 @@ class Capsule(Rounded):
     """
 
     type: ClassVar[str] = "capsule"
-    primitive: ClassVar[int] = SEGMENT
+    primitive: ClassVar[int] = SOLID.segment
     advice: ClassVar[str] = "a capsule without length is a Sphere"
 
 
@@ -276,7 +278,7 @@ class Cylinder(Rounded):
     """
 
     type: ClassVar[str] = "cylinder"
-    primitive: ClassVar[int] = CYLINDER
+    primitive: ClassVar[int] = SOLID.cylinder
     advice: ClassVar[str] = "a cylinder has a length"
 
 
@@ -311,7 +313,7 @@ class Box(Described):
         half = np.array(self.size) / 2.0
         corners = np.array(np.meshgrid(*np.stack([-half, half], axis=1))).reshape(3, 8).T
         start, end, radius = capsule_around(corners @ turn.T + center)
-        return Solid(coal.Box(*self.size), turn, center, start, end, radius, center, half, BOX, True)
+        return Solid(coal.Box(*self.size), turn, center, start, end, radius, center, half, SOLID.box, True)
 
 
 @declared()
@@ -336,7 +338,7 @@ class HalfSpace(Described):
         turn = z_along(np.array(self.normal))
         geometry = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)  # the points with z <= 0
         whole = np.full(3, np.inf)
-        return Solid(geometry, turn, point, point, point, np.inf, point, whole, PLANE, True)
+        return Solid(geometry, turn, point, point, point, np.inf, point, whole, SOLID.plane, True)
 
     def pose(self, near: Array) -> pin.SE3:
         """Return the point of the plane that is nearest to another; the third axis is the normal."""
@@ -379,7 +381,7 @@ class Surface(Described):
 
     def solids(self) -> list[Solid]:
         """Return the pieces of the surface."""
-        return [self._piece(node, PIECE) for node in self.tree.pieces]
+        return [self._piece(node, SOLID.piece) for node in self.tree.pieces]
 
     def _piece(self, node: int, kind: int) -> Solid:
         turn = np.array(self.rotation)
@@ -599,7 +601,7 @@ class Mesh(Surface):
         """Return the hull of a convex mesh; otherwise the pieces of the surface, and what it encloses."""
         if self.convex:
             return [self.solid()]
-        return super().solids() + ([self._piece(1, INSIDE)] if self.closed else [])
+        return super().solids() + ([self._piece(1, SOLID.inside)] if self.closed else [])
 
     def solid(self) -> Solid:
         """Return the hull of the mesh as a solid."""
@@ -616,7 +618,7 @@ class Mesh(Surface):
             faces.append(coal.Triangle(*map(int, face)))
         start, end, radius = capsule_around(self.vertices @ turn.T + center)
         geometry = coal.Convex(points, faces)
-        return Solid(geometry, turn, center, start, end, radius, middle, half, BOX, False)
+        return Solid(geometry, turn, center, start, end, radius, middle, half, SOLID.box, False)
 
 
 class MeshShape(Described):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.kernels.arrays import SEGMENT, Trees
+from pinposture.kernels.arrays import SOLID, Trees
 
 Array = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ class Solid(NamedTuple):
     @property
     def round(self) -> bool:
         """Whether the solid is identical to its bounding capsule."""
-        return self.exact and self.kind == SEGMENT
+        return self.exact and self.kind == SOLID.segment
 
     @property
     def geometry(self) -> coal.CollisionGeometry:

@@ -17,7 +17,7 @@ from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, MeshShape,
 from pinposture.collision.solids import Solid
 from pinposture.curve import Curve
 from pinposture.errors import CurveError, InvalidValue
-from pinposture.kernels.arrays import CYLINDER
+from pinposture.kernels.arrays import SOLID
 from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
@@ -303,7 +303,7 @@ def _body(obstacle: Obstacle, axis: ArrayLike | None) -> WrappedBody:
         ends = np.array([shape.start, shape.end])
         direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         about = direction if about is None else about
-        if shape.primitive != CYLINDER or float(np.linalg.norm(np.cross(direction, about))) < ROUNDING:
+        if shape.primitive != SOLID.cylinder or float(np.linalg.norm(np.cross(direction, about))) < ROUNDING:
             return WrappedBody(shape.solid(), ends, shape.radius, about)
         rim = _circle(shape.radius) @ _frame(direction)[:2]
         return WrappedBody(shape.solid(), np.vstack([end + rim for end in ends]), 0.0, about)

@@ -129,7 +129,7 @@ class JointBounds:
         positions = state.raw_positions
         before = self.before(previous)
         both = np.empty((2, arm.nv))
-        broken = kernels.step_box(
+        unmet, outside = kernels.step_box(
             positions,
             self.position_limits,
             self.bound,
@@ -141,11 +141,11 @@ class JointBounds:
             both,
         )
         relaxed: tuple[str, ...] = ()
-        if broken % 2:
+        if unmet:
             relaxed = violated_limits(
                 arm, positions, self.position_limits, self.bound, self.braking, before, ROUNDING
             )
-        return StepBounds(both[0], both[1], relaxed, broken >= 2, both)
+        return StepBounds(both[0], both[1], relaxed, outside, both)
 
 
 def joint_bounds(

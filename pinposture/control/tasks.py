@@ -28,6 +28,7 @@ from pinposture.arm.manipulability import chosen_points
 from pinposture.arm.urdf import roll_pitch_yaw
 from pinposture.control.controller import OWN, call_own
 from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import FULL_TURN
 from pinposture.placement import Target
 from pinposture.schema import (
     Declared,
@@ -200,7 +201,7 @@ def direction_rows(state: ArmState, points: Indices, target: Array) -> tuple[Arr
 
 def _wrap(angle: Array) -> Array:
     """Return angles wrapped to (-pi, pi]; half a turn is always positive."""
-    return np.where(angle < ROUNDING - np.pi, angle + 2.0 * np.pi, angle)
+    return np.where(angle < ROUNDING - np.pi, angle + FULL_TURN, angle)
 
 
 def _rotation_vector(vector: Array, scalar: float) -> Array:

@@ -50,9 +50,9 @@ _KERNELS = {
     "modules": "module_crossings module_faces module_forward module_inverse neighbours place_modules",
     "occupancy": "cast_rays clear_capsules find_surface forget_cells place_pixels read_cells",
     "path_following": (
-        "advance fill_torque_rows find_speed_profile find_stop joint_distance look_ahead next_path_speed "
-        "path_offset position_excess shorten_step smooth_offsets spline_slopes step_along step_box "
-        "step_on_profile step_to stoppable_steps stopping_steps sum_point_errors"
+        "fill_torque_rows find_speed_profile find_stop joint_distance look_ahead next_path_speed path_offset "
+        "position_excess shorten_step smooth_offsets spline_slopes step_along step_box step_on_profile "
+        "step_to stoppable_steps stopping_steps sum_point_errors take_steps"
     ),
     "path_relaxation": "find_direct_waypoints refine_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",

@@ -24,6 +24,9 @@ Singles1 = Annotated[NDArray[np.float32], 1]
 Halves1 = Annotated[NDArray[np.int32], 1]
 """C-contiguous arrays by number of dimensions: the types for which `kernels.compiled` compiles."""
 
+FULL_TURN = 2.0 * np.pi
+"""A full turn [rad]."""
+
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
@@ -185,7 +188,7 @@ class PointGoals(NamedTuple):
     """Where m points are to be.
 
     Attributes:
-        targets: their places, (m, 3) [m].
+        targets: their positions, (m, 3) [m].
         flags: which of them have one, (m,).
     """
 
@@ -264,17 +267,17 @@ class StepArrays(NamedTuple):
 
 
 class NextSteps(NamedTuple):
-    """Several steps of nv joints along a path, filled by a kernel.
+    """Consecutive steps, k, of nv joints along a path, filled by a kernel.
 
     Attributes:
-        places: the place on the path at the end of each, (s,).
-        errors: sum of distances from the targets, before the first step and after each, (s + 1,) [m].
-        dq: the steps, (s, nv) [rad or m]; initially zeros.
-        reached: joint positions after each, (s, nv) [rad or m].
-        at_limit: joints that are at a position limit then, (s, nv).
+        s: the position on the path at the end of each, in waypoints, (k,).
+        errors: sum of distances from the targets, before the first step and after each, (k + 1,) [m].
+        dq: the steps, (k, nv) [rad or m]; initially zeros.
+        reached: joint positions after each, (k, nv) [rad or m].
+        at_limit: joints that are at a position limit then, (k, nv).
     """
 
-    places: Array1
+    s: Array1
     errors: Array1
     dq: Array2
     reached: Array2
@@ -313,7 +316,7 @@ class PathParts(NamedTuple):
 
 
 class TorqueSamples(NamedTuple):
-    """Torques a u + b x + c at places on a path, of a path acceleration u and a squared path speed x.
+    """Torques a u + b x + c at positions on a path, of a path acceleration u and a squared path speed x.
 
     Attributes:
         a: torques per path acceleration, (s, nv).
@@ -354,14 +357,14 @@ class PathMotion(NamedTuple):
     """How an arm moves along a path.
 
     Attributes:
-        place: the place on the path, in waypoints.
+        s: the position on the path, in waypoints.
         speed: number of waypoints in the previous step.
         expected: joint positions expected there, (nv,) [rad or m].
         previous: the previous step, (nv,) [rad or m]; empty: it does not matter, as there is no `brake`.
         brake: largest change of a step, (nv,) [rad or m]; empty: no limit.
     """
 
-    place: float
+    s: float
     speed: float
     expected: Array1
     previous: Array1
@@ -522,7 +525,7 @@ class Pairs(NamedTuple):
     Attributes:
         first: the body of each pair, (n,).
         second: the other body, or b plus the index of the obstacle, (n,).
-        kinds: kind of the second solid, `SEGMENT` for spheres, capsules and bodies, (n,).
+        kinds: kind of the second solid, of `SOLID`, (n,).
         exact: False if the shapes given here only enclose the solids, (n,).
         radii: radii of body capsules, then of capsule obstacles or of the points of scans, otherwise 0; less
             the depth beneath the surface from which the distance of an obstacle counts, (b + o,).
@@ -609,13 +612,25 @@ class OccupancyGrid(NamedTuple):
 BLOCK = 8
 """Number of bodies in a block of `Pairs`."""
 
-SEGMENT = 0
-BOX = 1
-PLANE = 2
-CYLINDER = 3
-PIECE = 4
-INSIDE = 5
-"""Kinds of second solids in `Pairs`; the last two are a piece of a tree and the inside of a surface."""
+
+class SolidKinds(NamedTuple):
+    """Kinds of second solids in `Pairs`."""
+
+    segment: int = 0
+    """With a radius: a sphere, a capsule, or a body."""
+
+    box: int = 1
+    plane: int = 2
+    cylinder: int = 3
+
+    piece: int = 4
+    """A part of a tree of `Trees`."""
+
+    inside: int = 5
+    """What a closed surface encloses."""
+
+
+SOLID = SolidKinds()
 
 ENDED = 0
 OPEN = 1
@@ -629,10 +644,16 @@ LAST = 3
 """Entries of the state of `SearchTrees`: the tree that extends; its new node, which the other tree is to
 reach, -1 before it is added; the node there, or -1; the tree of the last edge."""
 
-FULL = 0
-RELATIVE = 1
-LOCAL = 2
-"""Couplings: dependence of rows on the joints before their section; see `kernels.kinematics`."""
+
+class RowCouplings(NamedTuple):
+    """How rows depend on the joints before their section; see `kernels.kinematics`."""
+
+    full: int = 0
+    relative: int = 1
+    local: int = 2
+
+
+COUPLING = RowCouplings()
 
 
 class Rows(NamedTuple):
@@ -642,7 +663,7 @@ class Rows(NamedTuple):
         stations: control points with rows, (p,); increasing, at least one.
         ranks: number of rows of each of them, (p,).
         directions: orthonormal directions, those with a row first, (p, 3, 3), world axes.
-        coupling: FULL, RELATIVE or LOCAL.
+        coupling: one of `COUPLING`.
     """
 
     stations: Ints1
@@ -693,7 +714,7 @@ class PostureProblem(NamedTuple):
 
 
 class SearchSettings(NamedTuple):
-    """Settings of a search by damped least squares; see `placement.points.POSTURE_SEARCH`.
+    """Settings of a search by damped least squares; see `POSTURE_SEARCH`.
 
     Attributes:
         good: mean error at which the search ends.

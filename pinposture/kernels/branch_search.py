@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.kernels.arrays import (
+    FULL_TURN,
     SLIDES,
     Array1,
     Array2,
@@ -71,8 +72,6 @@ class BranchSearchSettings(NamedTuple):
 
 BRANCH_SEARCH = BranchSearchSettings()
 
-
-FULL_TURN = 2.0 * np.pi
 
 Placed = tuple[Array3, Array2, Array2, Array2]
 """Orientations (m + 1, 3, 3) and origins (m + 1, 3) of the bases of all modules, and of the frame of the last

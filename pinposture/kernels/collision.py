@@ -17,13 +17,9 @@ import numpy as np
 
 from pinposture.kernels.arrays import (
     BLOCK,
-    BOX,
-    INSIDE,
     OTHERWISE,
-    PIECE,
-    PLANE,
-    SEGMENT,
     SLIDES,
+    SOLID,
     Array1,
     Array2,
     Array3,
@@ -195,13 +191,13 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact
     line = ends[body]
     kind = pairs.kinds[pair]
     radius = pairs.radii[body] + pairs.radii[pairs.second[pair]]
-    if kind == SEGMENT:
+    if kind == SOLID.segment:
         against = ends[other + len(ends)] if other < 0 else pairs.lines[other]
         distance, px, py, pz, nx, ny, nz = _segment_contact(line, against)
-    elif kind == BOX:
+    elif kind == SOLID.box:
         found = _box_contact(line, pairs.centers[other], pairs.frames[other], pairs.halves[other])
         distance, px, py, pz, nx, ny, nz = found
-    elif kind == PLANE:
+    elif kind == SOLID.plane:
         frame = pairs.frames[other]
         center = pairs.centers[other]
         nx = frame[0, 2]
@@ -216,8 +212,8 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact
         px = line[end, 0]
         py = line[end, 1]
         pz = line[end, 2]
-    elif kind in (PIECE, INSIDE):
-        found = _tree_contact(line, pairs, other, kind == INSIDE, below + radius)
+    elif kind in (SOLID.piece, SOLID.inside):
+        found = _tree_contact(line, pairs, other, kind == SOLID.inside, below + radius)
         distance, px, py, pz, nx, ny, nz = found
     else:
         found = _cylinder_contact(line, pairs.centers[other], pairs.frames[other], pairs.halves[other])
@@ -565,7 +561,7 @@ def _axis_bound(pairs: Pairs, obstacle: int, middle: Three, way: Three) -> float
     x, y, z = middle
     wx, wy, wz = way
     length = np.sqrt(wx * wx + wy * wy + wz * wz)
-    if kind == SEGMENT:
+    if kind == SOLID.segment:
         lines = pairs.lines
         ux = lines[obstacle, 1, 0] - lines[obstacle, 0, 0]
         uy = lines[obstacle, 1, 1] - lines[obstacle, 0, 1]
@@ -585,7 +581,7 @@ def _axis_bound(pairs: Pairs, obstacle: int, middle: Three, way: Three) -> float
     x = x - centers[obstacle, 0]
     y = y - centers[obstacle, 1]
     z = z - centers[obstacle, 2]
-    if kind == PLANE:
+    if kind == SOLID.plane:
         height = frames[obstacle, 0, 2] * x + frames[obstacle, 1, 2] * y + frames[obstacle, 2, 2] * z
         return height - length
     squares = 0.0

@@ -22,10 +22,9 @@ import numpy as np
 
 from pinposture.kernels.arrays import (
     BLOCK,
-    INSIDE,
     OTHERWISE,
-    PIECE,
     SLIDES,
+    SOLID,
     Array1,
     Array2,
     Array3,
@@ -451,7 +450,7 @@ def _stays_behind(
     _, origins, ends = placed
     distance, px, py, pz, nx, ny, nz = contact
     body = pairs.first[pair]
-    if pairs.second[pair] < len(carriers) or pairs.kinds[pair] in (PIECE, INSIDE):
+    if pairs.second[pair] < len(carriers) or pairs.kinds[pair] in (SOLID.piece, SOLID.inside):
         return False
     # Depths of overlap may be those along other directions.
     if aim + pairs.radii[body] + pairs.radii[pairs.second[pair]] <= 0.0 or nx == ny == nz == 0.0:

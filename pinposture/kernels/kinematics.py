@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import (
-    FULL,
-    LOCAL,
+    COUPLING,
     SLIDES,
     ArmArrays,
     Array1,
@@ -332,9 +331,9 @@ def carry_screws(
 # becomes v + w x r: velocities at a distant common origin would suffer cancellation. The coupling defines how
 # rows depend on the joints before their section, those up to the previous station:
 #
-# * FULL: completely. Rows are those of the position Jacobians.
-# * RELATIVE: by the motion of the point relative to the previous station.
-# * LOCAL: not at all.
+# * full: completely. Rows are those of the position Jacobians.
+# * relative: by the motion of the point relative to the previous station.
+# * local: not at all.
 
 
 @compiled
@@ -358,11 +357,11 @@ def motions_along(screws: Screws, rows: Rows, x: Array1, values: Array2) -> None
     u = 0
     at = 0
     for k in range(len(stations)):
-        if coupling != FULL:
+        if coupling != COUPLING.full:
             v0 = 0.0
             v1 = 0.0
             v2 = 0.0
-        if coupling == LOCAL:
+        if coupling == COUPLING.local:
             w0 = 0.0
             w1 = 0.0
             w2 = 0.0
@@ -410,11 +409,11 @@ def joints_along(screws: Screws, rows: Rows, values: Array2, x: Array1) -> None:
         x[u] = 0.0
     for k in range(len(stations) - 1, -1, -1):
         first = stations[k - 1] + 1 if k else 0
-        if coupling != FULL:
+        if coupling != COUPLING.full:
             f0 = 0.0
             f1 = 0.0
             f2 = 0.0
-        if coupling == LOCAL:
+        if coupling == COUPLING.local:
             t0 = 0.0
             t1 = 0.0
             t2 = 0.0

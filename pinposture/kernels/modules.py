@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
@@ -20,10 +22,21 @@ from pinposture.kernels.spline import parameter_at, span_at, value
 # All closed forms are in the base frame of a module, with x along it and y along its first transverse hinge.
 # Signs and branches are explained in `pinposture.placement.module_kinematics`.
 
-CIRCLE = 1
-TORUS = 2
-ROLL_PITCH = 3
-"""Numbers of the closed forms: one hinge; two transverse hinges; a roll and a transverse hinge."""
+
+class ClosedForms(NamedTuple):
+    """The modules with closed forms, by what their ends can reach, or by their joints."""
+
+    circle: int = 1
+    """One hinge."""
+
+    torus: int = 2
+    """Two transverse hinges."""
+
+    roll_pitch: int = 3
+    """A roll and a transverse hinge."""
+
+
+FORM = ClosedForms()
 
 FIRST_CROSSING = 1e-9
 LAST_CROSSING = 1.0 + 1e-9
@@ -302,9 +315,9 @@ def roll_pitch_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) 
 @compiled
 def module_forward(form: int, shape: Array1, q: Array1) -> tuple[float, ...]:
     """Return position x, y, z and orientation (row by row) of the end at joint positions q."""
-    if form == CIRCLE:
+    if form == FORM.circle:
         return circle_forward(shape[0], q[0])
-    if form == ROLL_PITCH:
+    if form == FORM.roll_pitch:
         return roll_pitch_forward(shape[0], shape[1], shape[2], q[0], q[1])
     return torus_forward(shape[0], shape[1], shape[2], q[0], q[1])
 
@@ -312,9 +325,9 @@ def module_forward(form: int, shape: Array1, q: Array1) -> tuple[float, ...]:
 @compiled
 def module_crossings(form: int, shape: Array1, a: Three, b: Three, out: Array1) -> int:
     """Find where the segment from a to b crosses the reachable set of a form, as `torus_crossings`."""
-    if form == CIRCLE:
+    if form == FORM.circle:
         return circle_crossings(shape[0], a, b, out)
-    if form == ROLL_PITCH:
+    if form == FORM.roll_pitch:
         return roll_pitch_crossings(shape[0], shape[1], a, b, out)
     return torus_crossings(shape[0], shape[1], a, b, out)
 
@@ -322,18 +335,18 @@ def module_crossings(form: int, shape: Array1, a: Three, b: Three, out: Array1) 
 @compiled
 def module_faces(form: int, shape: Array1, x: float, y: float, z: float) -> bool:
     """Return whether the last hinge of a form bends by less than 90 degrees at a point."""
-    if form == ROLL_PITCH:
+    if form == FORM.roll_pitch:
         return x >= shape[0] * (1.0 - 1e-12)
     outer = (shape[0] * shape[0] + shape[1] * shape[1]) * (1.0 - 1e-12)
-    return form == CIRCLE or x * x + y * y + z * z > outer
+    return form == FORM.circle or x * x + y * y + z * z > outer
 
 
 @compiled
 def module_inverse(form: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
     """Find joint positions that put a module's end at a point, into out (2, 2); return their number."""
-    if form == CIRCLE:
+    if form == FORM.circle:
         return circle_inverse(shape[0], x, y, z, out)
-    if form == ROLL_PITCH:
+    if form == FORM.roll_pitch:
         return roll_pitch_inverse(shape[0], shape[1], shape[2], x, y, z, out)
     return torus_inverse(shape[0], shape[1], shape[2], x, y, z, out)
 
@@ -386,9 +399,9 @@ def in_frame(frame: Array2, x: float, y: float, z: float) -> Three:
 def free_distance(form: int, shape: Array1, a: Three) -> float:
     """Return the radius of a ball around a point that is within reach and free of reachable points."""
     away = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
-    if form == CIRCLE:
+    if form == FORM.circle:
         return float(abs(shape[0] - away))
-    if form == ROLL_PITCH:
+    if form == FORM.roll_pitch:
         off = np.sqrt((a[0] - shape[0]) ** 2 + a[1] * a[1] + a[2] * a[2])
         return float(min(shape[0] + shape[1] - away, abs(off - shape[1])))
     return float(min(shape[0] + shape[1] - away, torus_distance(shape[0], shape[1], a[0], a[1], a[2])))
@@ -463,7 +476,7 @@ def place_modules(
         spline: the curve.
         length: its arc length.
         samples: number of samples, at least 2.
-        units: closed form (`CIRCLE`, `TORUS` or `ROLL_PITCH`), first joint and module of each unit, (n, 3).
+        units: closed form (of `FORM`), first joint and module of each unit, (n, 3).
         shapes: l1, l2 and sense of each unit (the link of a circle as l1), and the axes of its base frame in
             the neutral posture, row by row, (n, 12).
         lower: lower limits of the joints of the chain.

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.kernels.arrays import (
+    FULL_TURN,
     ArmArrays,
     Array1,
     Array2,
@@ -47,7 +48,7 @@ class PathSpeedSettings(NamedTuple):
     """Torque that motions may take in any case, relative to that which holds the arm."""
 
     iterations: int = 60
-    """Largest number of iterations for the speed at a place."""
+    """Largest number of iterations for the speed at a position."""
 
     rounding: float = 1e-12
     """Relative rounding error of accelerations there."""
@@ -58,11 +59,6 @@ PATH_SPEED = PathSpeedSettings()
 
 MAX_BRAKING_STEPS = 1e60
 """Number of braking steps that stands for infinitely many: a joint without position limits."""
-
-
-UNMET_LIMITS = 1
-OUTSIDE_LIMITS = 2
-"""Flags that `step_box` returns: limits that cannot be met, and a joint of the chain outside its limits."""
 
 
 # The curve through the waypoints of a path.
@@ -117,16 +113,16 @@ def _part_length(parts: PathParts, part: int) -> float:
 
 
 @inlined
-def _part_at(parts: PathParts, place: float) -> float:
-    """Return a place on a path, in waypoints, in parts from the start."""
-    piece = min(int(place), len(parts.first) - 2)
+def _part_at(parts: PathParts, s: float) -> float:
+    """Return a position on a path, in waypoints, in parts from the start."""
+    piece = min(int(s), len(parts.first) - 2)
     count = parts.first[piece + 1] - parts.first[piece]
-    return place * count - piece * count + parts.first[piece]  # where all are alike, no rounding is added
+    return s * count - piece * count + parts.first[piece]  # where all are alike, no rounding is added
 
 
 @inlined
-def _place_at(parts: PathParts, at: float, part: int) -> float:
-    """Return a place in or at the end of a part, in parts from the start of the path, in waypoints."""
+def _s_at(parts: PathParts, at: float, part: int) -> float:
+    """Return a position in or at the end of a part, in parts from the start of the path, in waypoints."""
     piece = parts.piece[part]
     count = parts.first[piece + 1] - parts.first[piece]
     return (at - parts.first[piece] + piece * count) / count
@@ -174,7 +170,7 @@ def fill_torque_rows(
     """Fill in the rows of torques, by cubic interpolation between samples.
 
     Args:
-        samples: torques at four or more equidistant places on the path, from `path_torques`.
+        samples: torques at four or more equidistant positions on the path, from `path_torques`.
         parts: the parts of the path.
         largest: factor of all rows.
         share: share of the torque that holding the arm leaves, which motions may take.
@@ -227,10 +223,10 @@ def fill_torque_rows(
 
 
 @subkernel
-def _between(samples: Array2, place: float, filled: Array1) -> None:
-    """Interpolate between samples, (s, n), by a cubic polynomial at a place in [0, s - 1]; fills (n,)."""
-    before = min(max(int(place) - 1, 0), len(samples) - 4)
-    t = place - before
+def _between(samples: Array2, s: float, filled: Array1) -> None:
+    """Interpolate between samples, (s, n), by a cubic polynomial at a position in [0, s - 1]; fills (n,)."""
+    before = min(max(int(s) - 1, 0), len(samples) - 4)
+    t = s - before
     w0 = -(t - 1.0) * (t - 2.0) * (t - 3.0) / 6.0
     w1 = t * (t - 2.0) * (t - 3.0) / 2.0
     w2 = -t * (t - 1.0) * (t - 3.0) / 2.0
@@ -402,11 +398,11 @@ def find_speed_profile(
 
 
 @subkernel
-def _travel(parts: PathParts, place: float, top: Array1, onward: bool) -> float:
-    """Return the distance along the profile from a place in the next step, or in the previous one."""
+def _travel(parts: PathParts, s: float, top: Array1, onward: bool) -> float:
+    """Return the distance along the profile from a position in the next step, or in the previous one."""
     last = len(top) - 1
     left = 1.0
-    at = _part_at(parts, place)
+    at = _part_at(parts, s)
     sign = 1.0 if onward else -1.0
     i = 0
     while left > 0.0:
@@ -428,12 +424,12 @@ def _travel(parts: PathParts, place: float, top: Array1, onward: bool) -> float:
         at = to
         if at >= last or at <= 0.0:
             break
-    return abs(_place_at(parts, at, i) - place)
+    return abs(_s_at(parts, at, i) - s)
 
 
 @compiled
 def next_path_speed(
-    place: float,
+    s: float,
     rate: float,
     small: float,
     most: float,
@@ -441,22 +437,22 @@ def next_path_speed(
     rows: ProfileRows,
     top: Array1,
 ) -> float:
-    """Return the number of waypoints to advance in a step from a place, in waypoints from the start.
+    """Return the number of waypoints to advance in a step from a position, in waypoints from the start.
 
     `rate` is that number in the previous step, and `most` the largest one. Other arguments are as for
     `find_speed_profile`.
     """
     count = len(rows.a)
     every = len(rows.limit)
-    left = len(parts.first) - 1 - place
-    wanted = min(_travel(parts, place, top, True), most)
-    if place <= 0.0:
+    left = len(parts.first) - 1 - s
+    wanted = min(_travel(parts, s, top, True), most)
+    if s <= 0.0:
         return min(wanted, left)
     # Off the profile, steps change as much as the limits allow at that speed.
-    before = _travel(parts, place, top, False)
+    before = _travel(parts, s, top, False)
     tiny = 1e-100
-    first = min(int(_part_at(parts, place)), count - 1)
-    last = min(int(_part_at(parts, place + wanted)), count - 1)
+    first = min(int(_part_at(parts, s)), count - 1)
+    last = min(int(_part_at(parts, s + wanted)), count - 1)
     for i in range(first, last + 1):
         for j in range(len(rows.limit)):
             tiny = max(tiny, small * abs(rows.a[i, 0, j]))
@@ -472,25 +468,25 @@ def next_path_speed(
 
 
 @compiled
-def find_stop(path: TimedPathArrays, place: float, speed: float, places: Array1) -> int:
-    """Find the places at which steps end that stop an arm on a path, as fast as its limits allow.
+def find_stop(path: TimedPathArrays, s: float, speed: float, ends: Array1) -> int:
+    """Find the ends of the steps that stop an arm on a path, as fast as its limits allow.
 
     Args:
         path: the path.
-        place: where the arm is, in waypoints.
+        s: where the arm is, in waypoints.
         speed: number of waypoints in its last step.
-        places: filled with that place, and the ends of the steps, in waypoints.
+        ends: filled with that position, and the ends of the steps, in waypoints.
 
     Returns:
-        Number of places that are filled.
+        Number of ends that are filled.
     """
     rest = np.zeros_like(path.top)
-    places[0] = place
+    ends[0] = s
     count = 1
-    while speed > 0.0 and count < len(places):
-        here = places[count - 1]
+    while speed > 0.0 and count < len(ends):
+        here = ends[count - 1]
         speed = next_path_speed(here, speed, path.small, path.most, path.parts, path.rows, rest)
-        places[count] = here + max(speed, 0.0)
+        ends[count] = here + max(speed, 0.0)
         count += 1
     return count
 
@@ -542,7 +538,7 @@ def stopping_steps(rooms: Array2, dq: Array1, bound: Array1, brake: Array1, most
         gone = np.zeros(nv)
         number = 1.0
         held = False
-        while number < last and not held:
+        while number < last:
             if count == len(steps):
                 longer = np.empty((2 * count, nv))
                 longer[:count] = steps
@@ -581,8 +577,8 @@ def step_box(
     columns: Ints1,
     slack: Array1,
     limits: Array2,
-) -> int:
-    """Compute the smallest and largest step of each joint; see `Limits.box`.
+) -> tuple[bool, bool]:
+    """Compute the smallest and largest step of each joint; see `Limits.step_bounds`.
 
     Args:
         positions: joint positions, (nv,).
@@ -596,9 +592,9 @@ def step_box(
         limits: filled with smallest and largest step, (2, nv).
 
     Returns:
-        Sum of the flags `UNMET_LIMITS` and `OUTSIDE_LIMITS` that apply.
+        Whether limits cannot be met, and whether a joint of the chain is outside its limits.
     """
-    found = 0
+    unmet = False
     for u in range(len(positions)):
         low = position_limits[0, u] - positions[u]
         high = position_limits[1, u] - positions[u]
@@ -617,12 +613,12 @@ def step_box(
         above = min(high, bound[u]) - max(slowest_point, 0.0)
         below = min(slowest_point, 0.0) - max(low, -bound[u])
         if min(above, below) < -rounding:
-            found = UNMET_LIMITS
+            unmet = True
     for i in range(len(columns)):
         u = columns[i]
         if positions[u] < position_limits[0, u] - slack[i] or positions[u] > position_limits[1, u] + slack[i]:
-            return found + OUTSIDE_LIMITS
-    return found
+            return unmet, True
+    return unmet, False
 
 
 @compiled
@@ -678,7 +674,7 @@ def joint_distance(one: Array1, other: Array1, endless: Flags1, columns: Ints1, 
         u = columns[i]
         motion = abs(other[u] - one[u])
         if endless[u]:
-            motion = abs(motion - 2.0 * np.pi * np.round(motion / (2.0 * np.pi)))
+            motion = abs(motion - FULL_TURN * np.round(motion / FULL_TURN))
         largest = max(largest, motion / units[i])
     return largest
 
@@ -695,33 +691,33 @@ def position_excess(positions: Array1, position_limits: Array2, columns: Ints1) 
 
 @compiled
 def path_offset(
-    offsets: Array2, start: Array1, positions: Array1, endless: Flags1, place: float, filled: Array1
+    offsets: Array2, start: Array1, positions: Array1, endless: Flags1, s: float, filled: Array1
 ) -> None:
-    """Compute the displacement of joints from the start of a path, with the full turns of a place near them.
+    """Compute the displacement of joints from the start of a path, with the full turns of a position nearby.
 
     Args:
         offsets: displacements of waypoints from the start, (N + 1, nv), joined by straight lines.
         start: joint positions at the start, (nv,).
         positions: current joint positions, (nv,).
         endless: which joints are periodic, (nv,).
-        place: the place, in waypoints.
+        s: the position, in waypoints.
         filled: filled with the displacement, (nv,).
     """
-    i = min(int(place), len(offsets) - 2)
-    share = place - i
+    i = min(int(s), len(offsets) - 2)
+    share = s - i
     for u in range(len(positions)):
         gone = positions[u] - start[u]
         if endless[u]:
             here = (1.0 - share) * offsets[i, u] + share * offsets[i + 1, u]
-            gone += 2.0 * np.pi * np.round((here - gone) / (2.0 * np.pi))
+            gone += FULL_TURN * np.round((here - gone) / FULL_TURN)
         filled[u] = gone
 
 
 @subkernel
-def _smooth_offset(offsets: Array2, slopes: Array2, place: float, filled: Array1) -> None:
-    """Compute `smooth_offsets` for one place; fills (nv,)."""
-    i = min(int(place), len(offsets) - 2)
-    t = place - i
+def _smooth_offset(offsets: Array2, slopes: Array2, s: float, filled: Array1) -> None:
+    """Compute `smooth_offsets` for one position; fills (nv,)."""
+    i = min(int(s), len(offsets) - 2)
+    t = s - i
     before = (1.0 + 2.0 * t) * (1.0 - t) ** 2
     after = t * t * (3.0 - 2.0 * t)
     for u in range(len(filled)):
@@ -730,17 +726,17 @@ def _smooth_offset(offsets: Array2, slopes: Array2, place: float, filled: Array1
 
 
 @compiled
-def smooth_offsets(offsets: Array2, slopes: Array2, places: Array1, filled: Array2) -> None:
+def smooth_offsets(offsets: Array2, slopes: Array2, s: Array1, filled: Array2) -> None:
     """Compute displacements from the start on the cubic spline through waypoints.
 
     Args:
         offsets: displacement of each waypoint from the start, (N + 1, nv).
         slopes: change of it per waypoint, (N + 1, nv).
-        places: the places, in waypoints, (k,).
+        s: the positions, in waypoints, (k,).
         filled: filled with the displacement at each, (k, nv).
     """
-    for i in range(len(places)):
-        _smooth_offset(offsets, slopes, places[i], filled[i])
+    for i in range(len(s)):
+        _smooth_offset(offsets, slopes, s[i], filled[i])
 
 
 @compiled
@@ -751,12 +747,12 @@ def step_along(
     endless: Flags1,
     columns: Ints1,
     units: Array1,
-    place: float,
+    s: float,
     limits: Array2,
     max_motion: float,
     dq: Array1,
 ) -> tuple[float, float, bool]:
-    """Compute the step to the farthest place on a path that can be reached without leaving the path.
+    """Compute the step to the farthest position on a path that can be reached without leaving the path.
 
     Args:
         offsets: displacements of waypoints from the start, (N + 1, nv), joined by straight lines.
@@ -765,29 +761,29 @@ def step_along(
         endless: which joints are periodic, (nv,).
         columns: the joints that move on the path, (n,).
         units: unit of motion of each of them, (n,).
-        place: current or last place on the path, in waypoints.
+        s: current or last position on the path, in waypoints.
         limits: smallest and largest step, (2, nv).
         max_motion: largest motion of a joint without limits, in units.
         dq: zeros, filled with the step, (nv,).
 
     Returns:
-        The place at its end, unchanged if the limits admit no step ahead; the largest remaining joint motion
-        before the step, in units; and whether the step is within the limits.
+        The position at its end, unchanged if the limits admit no step ahead; the largest remaining joint
+        motion before the step, in units; and whether the step is within the limits.
     """
     n = len(columns)
     last = len(offsets) - 1
     offset = np.empty(len(positions))
-    path_offset(offsets, start, positions, endless, place, offset)
+    path_offset(offsets, start, positions, endless, s, offset)
     begin = np.empty(n)
     left = 0.0
-    i = min(int(place), last - 1)
-    share = place - i
+    i = min(int(s), last - 1)
+    share = s - i
     for k in range(n):
         u = columns[k]
         begin[k] = (1.0 - share) * offsets[i, u] + share * offsets[i + 1, u] - offset[u]
         left = max(left, abs(offsets[last, u] - offset[u]) / units[k])
-    while place < last:
-        i = min(int(place), last - 1)
+    while s < last:
+        i = min(int(s), last - 1)
         reach = 1.0
         for k in range(n):
             u = columns[k]
@@ -799,7 +795,7 @@ def step_along(
                 reach = min(reach, (bound - begin[k]) / motion)
             elif motion < 0.0:
                 reach = min(reach, (bound + begin[k]) / -motion)
-        place = i + 1.0 if reach >= 1.0 else place + reach * (i + 1.0 - place)
+        s = i + 1.0 if reach >= 1.0 else s + reach * (i + 1.0 - s)
         for k in range(n):
             u = columns[k]
             begin[k] += min(reach, 1.0) * (offsets[i + 1, u] - offset[u] - begin[k])
@@ -812,7 +808,7 @@ def step_along(
         dq[u] = begin[k]
         fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
         inside = inside and fits and abs(begin[k]) <= max_motion * units[k]
-    return place, left, inside
+    return s, left, inside
 
 
 @compiled
@@ -824,7 +820,7 @@ def step_on_profile(
     brake: Array1,
     limits: Array2,
     tolerances: PathTolerances,
-    place: float,
+    s: float,
     speed: float,
     lag: Array1,
     dq: Array1,
@@ -839,21 +835,21 @@ def step_on_profile(
         brake: largest change between steps, (nv,); empty for no limit.
         limits: smallest and largest step, (2, nv).
         tolerances: tolerances of the path.
-        place: the place on the path, in waypoints.
+        s: the position on the path, in waypoints.
         speed: number of waypoints in the previous step.
-        lag: displacement of the place from the joints, (nv,).
+        lag: displacement of the position from the joints, (nv,).
         dq: filled with the step, (nv,).
 
     Returns:
-        The place at its end; whether that is less far than the profile allows; and whether the step is within
-        the limits.
+        The position at its end; whether that is less far than the profile allows; and whether the step is
+        within the limits.
     """
     end = len(path.offsets) - 1.0
-    rate = next_path_speed(place, speed, path.small, path.most, path.parts, path.rows, path.top)
-    wanted = min(rate, end - place)
+    rate = next_path_speed(s, speed, path.small, path.most, path.parts, path.rows, path.top)
+    wanted = min(rate, end - s)
     here = np.empty(len(dq))
-    _smooth_offset(path.offsets, path.slopes, place, here)
-    _smooth_offset(path.offsets, path.slopes, place + wanted, dq)
+    _smooth_offset(path.offsets, path.slopes, s, here)
+    _smooth_offset(path.offsets, path.slopes, s + wanted, dq)
     # The share of the motion ahead that all joints can make while they catch up.
     share = 1.0
     for k in range(len(columns)):
@@ -861,11 +857,11 @@ def step_on_profile(
         onward = dq[u] - here[u]
         gap = bound[u] + lag[u] if onward < 0.0 else bound[u] - lag[u]
         share = min(share, 0.0 if abs(lag[u]) > bound[u] else gap / max(abs(onward), 1e-100))
-    hindered = share < 1.0 or place >= end
-    place += share * wanted
-    if place > end - tolerances.arrived:
-        place = end
-    _smooth_offset(path.offsets, path.slopes, place, dq)
+    held_back = share < 1.0 or s >= end
+    s += share * wanted
+    if s > end - tolerances.arrived:
+        s = end
+    _smooth_offset(path.offsets, path.slopes, s, dq)
     for u in range(len(dq)):
         # The lag is made up no faster than the arm can stop, or it would oscillate about its path.
         caught = _stoppable_step(lag[u], PATH_SPEED.catch_up_share * brake[u]) if len(brake) else lag[u]
@@ -876,7 +872,7 @@ def step_on_profile(
         slack = STEP_ROUNDING * units[k]
         fits = limits[0, u] - slack <= dq[u] <= limits[1, u] + slack
         inside = inside and fits and abs(dq[u]) <= tolerances.max_motion * units[k]
-    return place, hindered, inside
+    return s, held_back, inside
 
 
 @compiled
@@ -947,7 +943,7 @@ def sum_point_errors(points: Array2, targets: Array2, has_target: Flags1) -> flo
 
 
 @compiled
-def advance(
+def take_steps(
     chain: ArmArrays,
     endless: Flags1,
     limits: LimitArrays,
@@ -986,11 +982,11 @@ def advance(
     if joint_distance(motion.expected, positions, endless, columns, limits.units) > tolerances.disturbed:
         return 0
     here = positions
-    place = motion.place
+    s = motion.s
     speed = motion.speed
     previous = motion.previous
-    for i in range(len(found.places)):
-        outside = step_box(
+    for i in range(len(found.s)):
+        unmet, outside = step_box(
             here,
             limits.position_limits,
             limits.bound,
@@ -1001,7 +997,7 @@ def advance(
             limits.slack,
             box,
         )
-        if outside != 0:
+        if unmet or outside:
             return i
         if len(path.top) == 0:
             reached, left, inside = step_along(
@@ -1011,19 +1007,19 @@ def advance(
                 endless,
                 columns,
                 limits.units,
-                place,
+                s,
                 box,
                 tolerances.max_motion,
                 found.dq[i],
             )
-            ahead = True  # a step that is not counts as hindered
+            ahead = True  # a step that is not counts as held back
         else:
-            path_offset(path.offsets, path.start, here, endless, place, offset)
+            path_offset(path.offsets, path.start, here, endless, s, offset)
             left = 0.0
             for k in range(len(columns)):
                 u = columns[k]
                 left = max(left, abs(path.offsets[last, u] - offset[u]) / limits.units[k])
-            _smooth_offset(path.offsets, path.slopes, place, lag)
+            _smooth_offset(path.offsets, path.slopes, s, lag)
             for u in range(len(lag)):
                 lag[u] -= offset[u]
             reached, _, inside = step_on_profile(
@@ -1034,12 +1030,12 @@ def advance(
                 motion.brake,
                 box,
                 tolerances,
-                place,
+                s,
                 speed,
                 lag,
                 found.dq[i],
             )
-            ahead = reached > place
+            ahead = reached > s
         if not inside or not ahead or (reached >= last and left <= tolerances.arrived):
             return i
         before, after = look_ahead(
@@ -1060,12 +1056,12 @@ def advance(
             return i
         if i == 0:
             found.errors[0] = before
-        found.places[i] = reached
-        speed = reached - place
-        place = reached
+        found.s[i] = reached
+        speed = reached - s
+        s = reached
         here = found.reached[i]
         previous = found.dq[i] if len(motion.brake) else motion.previous
-    return len(found.places)
+    return len(found.s)
 
 
 @compiled
@@ -1103,10 +1099,10 @@ def step_to(
     none = np.empty(0)
     box = np.empty((2, len(positions)))
     columns = chain.inputs
-    outside = step_box(
+    unmet, outside = step_box(
         positions, limits.position_limits, limits.bound, none, none, rounding, columns, limits.slack, box
     )
-    if outside != 0:
+    if unmet or outside:
         return False, 0.0, 0.0
     found.dq[:] = 0.0
     moves = False
@@ -1114,7 +1110,7 @@ def step_to(
         u = columns[k]
         ahead = goal[u] - positions[u]
         if turns[u] or nearest_turn[u]:
-            ahead -= 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
+            ahead -= FULL_TURN * np.rint(ahead / FULL_TURN)
         if not (abs(ahead) <= farthest * limits.units[k] and box[0, u] <= ahead <= box[1, u]):
             return False, 0.0, 0.0
         found.dq[u] = ahead

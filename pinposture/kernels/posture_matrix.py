@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array1, Array2, Factors, Flags1, Rows, Screws
+from pinposture.kernels.arrays import COUPLING, Array1, Array2, Factors, Flags1, Rows, Screws
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import difference, joints_along, motions_along
 
@@ -96,11 +96,11 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
             if R[j, j] == 0.0:
                 R[j, j] = ZERO_PIVOT
             _read_column(A, j, E, K, j, j < width)
-        if coupling == LOCAL:
+        if coupling == COUPLING.local:
             continue
         # The remaining columns do not change the rows of this station.
         kept = width - rank
-        first = 3 if coupling == RELATIVE else rank
+        first = 3 if coupling == COUPLING.relative else rank
         if kept > 6 - first:
             for row in range(first, 6):
                 _reflect(A, row, rank + row - first, width)
@@ -111,7 +111,7 @@ def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
                 A[j, c] = 0.0
         for c in range(free):
             _read_column(A, rank + c, E, left, c, True)
-            if coupling == RELATIVE:
+            if coupling == COUPLING.relative:
                 left[0, c] = 0.0
                 left[1, c] = 0.0
                 left[2, c] = 0.0
@@ -182,11 +182,11 @@ def multiply_down(points: Array2, rows: Rows, factors: Factors, solve: bool, val
     w1 = 0.0
     w2 = 0.0
     for k in range(len(stations)):
-        if coupling != FULL:
+        if coupling != COUPLING.full:
             v0 = 0.0
             v1 = 0.0
             v2 = 0.0
-        if coupling == LOCAL:
+        if coupling == COUPLING.local:
             w0 = 0.0
             w1 = 0.0
             w2 = 0.0
@@ -241,11 +241,11 @@ def multiply_up(points: Array2, rows: Rows, factors: Factors, solve: bool, value
     t2 = 0.0
     before = np.empty(3)
     for k in range(len(stations) - 1, -1, -1):
-        if coupling != FULL:
+        if coupling != COUPLING.full:
             f0 = 0.0
             f1 = 0.0
             f2 = 0.0
-        if coupling == LOCAL:
+        if coupling == COUPLING.local:
             t0 = 0.0
             t1 = 0.0
             t2 = 0.0
@@ -309,7 +309,7 @@ def least_change(screws: Screws, rows: Rows, factors: Factors, values: Array2, x
 
 @compiled
 def well_conditioned(screws: Screws, rows: Rows, least: float, kept: Flags1) -> None:
-    """Choose stations, from the base on, so that their FULL rows have no singular value below a bound.
+    """Choose stations, from the base on, so that full rows have no singular value below a bound.
 
     All are chosen if possible. Otherwise stations whose rows nearly depend on those of earlier stations are
     skipped, because one that used up all the slack would leave none for later ones. Several bounds on the

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.configurations import FULL_TURN
 from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import FULL_TURN
 from pinposture.motion.drive_response import DRIVE_RESPONSE, DriveModel, DriveResponse
 from pinposture.placement import Target
 

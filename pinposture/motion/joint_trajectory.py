@@ -20,9 +20,9 @@ from pinposture._validation import (
     set_fields,
 )
 from pinposture.arm import Arm
-from pinposture.arm.configurations import FULL_TURN
 from pinposture.arm.couplings import Drive, joint_axes
 from pinposture.errors import InvalidValue, enumerated
+from pinposture.kernels.arrays import FULL_TURN
 from pinposture.units import CONVERGED, ROUNDING
 
 START_TOLERANCE = 0.5

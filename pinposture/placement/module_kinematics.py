@@ -27,7 +27,7 @@ from pinposture.arm.module_kinematics import (
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, UnsupportedModule
 from pinposture.kernels.arrays import CurveModule, ModuleSearch
-from pinposture.kernels.modules import CIRCLE, ROLL_PITCH, TORUS
+from pinposture.kernels.modules import FORM
 from pinposture.units import ROUNDING
 
 # The RyRz module of the thesis rotates by q0 about y, translates by l1 along x, rotates by q1 about z and
@@ -129,7 +129,7 @@ class ClosedForm:
     @property
     def dof(self) -> int:
         """Number of degrees of freedom."""
-        return 1 if self.form == CIRCLE else 2
+        return 1 if self.form == FORM.circle else 2
 
     @cached_property
     def shape(self) -> Array:
@@ -208,7 +208,7 @@ class Torus(ClosedForm):
         sense: +1 if the second hinge turns about +z, -1 if about -z.
     """
 
-    form = TORUS
+    form = FORM.torus
     l1: float
     l2: float
     sense: float = 1.0
@@ -229,7 +229,7 @@ class Circle(ClosedForm):
         link: distance from the hinge to the end [m].
     """
 
-    form = CIRCLE
+    form = FORM.circle
     link: float
 
     def _level(self, p: Array) -> Array:
@@ -246,7 +246,7 @@ class RollPitch(ClosedForm):
         sense: +1 if the first joint turns about +x, -1 if about -x.
     """
 
-    form = ROLL_PITCH
+    form = FORM.roll_pitch
     l1: float
     l2: float
     sense: float = 1.0

@@ -17,7 +17,7 @@ from scipy.interpolate import BPoly
 from pinposture import kernels
 from pinposture._validation import is_usable, is_whole, require_instance
 from pinposture.arm import Arm
-from pinposture.arm.configurations import FULL_TURN, SLACK
+from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.control.planner.damped_least_squares import PlanningProblem
 from pinposture.control.planner.objective import Objective
@@ -27,7 +27,7 @@ from pinposture.control.tasks import EndEffector
 from pinposture.curve import CURVES, Curve
 from pinposture.curve.curve import CurveField
 from pinposture.errors import InvalidValue, PostureError, TargetError, TaskError, raise_together, warn_caller
-from pinposture.kernels.arrays import LengthArrays, SplineArrays
+from pinposture.kernels.arrays import FULL_TURN, LengthArrays, SplineArrays
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.least_squares import FitProblem
 from pinposture.placement.module_kinematics import group_runs, is_compiled

@@ -23,6 +23,7 @@ from pinposture.arm import Arm
 from pinposture.control.limits import Limits
 from pinposture.control.reach import require_within_reach
 from pinposture.errors import InvalidValue, OutOfReach, warn_caller
+from pinposture.kernels.arrays import FULL_TURN
 from pinposture.placement.least_squares import FitProblem
 from pinposture.task.keyframe import (
     CONTINUITIES,
@@ -283,8 +284,8 @@ class RowSolver:
 
     def _unwrapped(self, positions: Array, before: Array) -> Array:
         """Return the positions with continuous joints in the turn nearest to the previous ones."""
-        rounds = np.where(self._endless, np.round((before - positions) / (2.0 * np.pi)), 0.0)
-        return np.asarray(positions + 2.0 * np.pi * rounds)
+        rounds = np.where(self._endless, np.round((before - positions) / FULL_TURN), 0.0)
+        return np.asarray(positions + FULL_TURN * rounds)
 
     def _place_sequentially(
         self, stretch: Stretch, curves: StretchCurves, before: Array, report: Callable[[int], None]
@@ -559,7 +560,7 @@ def keyframe_reference(
 def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
     """Repeat a lap of `count` keyframes; the last one ends at row `end`, before the return to the first."""
     rows = lap.rows - 1
-    turns = np.where(lap.arm.kinematics.endless, np.round(lap.offsets[-1] / (2.0 * np.pi)), 0.0)
+    turns = np.where(lap.arm.kinematics.endless, np.round(lap.offsets[-1] / FULL_TURN), 0.0)
     offsets = []
     weights = []
     durations = []
@@ -567,7 +568,7 @@ def _repeated(lap: Reference, count: int, end: int, repeat: int) -> Reference:
     for number in range(repeat):
         last = number == repeat - 1
         kept = end + 1 if last else rows
-        offsets.append(lap.offsets[:kept] + 2.0 * np.pi * number * turns)
+        offsets.append(lap.offsets[:kept] + FULL_TURN * number * turns)
         weights.append(lap.weights[:kept])
         durations.append(np.diff(lap.times[: end + 1 if last else None]))
         for index, waypoint in enumerate(lap.waypoints[1 : count if last else None], start=1):

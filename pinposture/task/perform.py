@@ -150,7 +150,7 @@ class ReferencePath:
         bound = PATH.speed_share * self.timed.bounds.bound
         full = np.maximum((slopes / bound).max(axis=1), PERFORM.row_tolerance)  # cycles per row at full speed
         begin = 0
-        places = self.timed.places
+        places = self.timed.s
         for waypoint in self.reference.waypoints:
             if waypoint.speed < 1.0:
                 cycles = np.searchsorted(places, (begin, waypoint.row)) + (-beside, beside)
@@ -170,7 +170,7 @@ class ReferencePath:
         module = self.path.arm.length / self.path.arm.n_modules
         moving = np.flatnonzero(np.any(np.abs(np.diff(offsets, axis=0)) > PERFORM.held_rounding, axis=1))
         for _ in range(PERFORM.max_slowdowns if cycles > 1 else 0):
-            places = np.pad(self.timed.places, (cycles - 1, cycles), mode="edge")
+            places = np.pad(self.timed.s, (cycles - 1, cycles), mode="edge")
             slower = False
             passed = np.cumsum(np.append(0.0, places))
             means = (passed[cycles:] - passed[:-cycles]) / cycles
@@ -599,12 +599,12 @@ class _Performance:
                     break
                 if step.reason and not ahead.arrived:
                     break
-                if begun + ahead.place >= waypoint.row:
-                    if self._leaves_path(step, begun + ahead.place):
+                if begun + ahead.s >= waypoint.row:
+                    if self._leaves_path(step, begun + ahead.s):
                         break
-                    waypoint = guide.next_waypoint(begun + ahead.place)
+                    waypoint = guide.next_waypoint(begun + ahead.s)
                 progress = ahead
-                s = self._advance(begun + ahead.place)
+                s = self._advance(begun + ahead.s)
                 target = target if s == foreseen else guide.target(s)
                 loop.take(step, target)
                 ended = self._record(s, target)

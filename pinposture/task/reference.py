@@ -20,6 +20,7 @@ from pinposture.control import EndEffector, Limits
 from pinposture.control.torque_limits import Overload, find_overload, require_held
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TaskError, warn_caller
+from pinposture.kernels.arrays import FULL_TURN
 from pinposture.motion.held import HeldObject, Stages
 from pinposture.placement import Target
 from pinposture.placement.least_squares import CURVE_FIT, Samples, transported_turns
@@ -418,8 +419,8 @@ class Bending:
         turned = float(np.linalg.norm(before))
         about = across / sine if sine > 1e-12 else before / turned if turned > 0.0 else third
         angle = float(np.arctan2(sine, cosine))
-        rounds = np.round((about @ before - angle) / (2.0 * np.pi))
-        return np.asarray((angle + 2.0 * np.pi * rounds) * about)
+        rounds = np.round((about @ before - angle) / FULL_TURN)
+        return np.asarray((angle + FULL_TURN * rounds) * about)
 
     def _frames(self, first: Array, turns: Array) -> tuple[Array, Array]:
         """Return carried frames (r, n + 1, 3, 3), axes as columns, and chords between them, (r, n, 3)."""

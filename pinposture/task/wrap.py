@@ -621,7 +621,7 @@ def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
 
 def places_in_time(path: JointPath, limits: Limits) -> Array:
     """Return the places on a path after each cycle of the motion along it, two at least, (n,) [waypoints]."""
-    places = retime(path, limits).places
+    places = retime(path, limits).s
     return places if len(places) > 1 else np.zeros(2)  # it is there already, and rests for a cycle
 
 

@@ -21,7 +21,7 @@ from pinposture.collision import Mesh, Obstacle, Scan
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
 from pinposture.errors import FileError, InvalidValue, enumerated, warn_caller
-from pinposture.kernels.arrays import BOX, SEGMENT
+from pinposture.kernels.arrays import SOLID
 
 Array = NDArray[np.float64]
 
@@ -445,14 +445,14 @@ def surface(obstacle: Obstacle) -> TriangleMesh:
         outline = _thinned(geometry)
         return TriangleMesh(outline.vertices @ np.array(geometry.rotation).T + geometry.center, outline.faces)
     solid = geometry.solid()
-    if solid.kind == BOX:
+    if solid.kind == SOLID.box:
         corners = box_corners(-solid.half, solid.half) if solid.exact else geometry.content[0]
         return hull_surface(corners @ solid.rotation.T + solid.position)
     way = solid.end - solid.start
     length = float(np.linalg.norm(way))
     if length == 0.0:
         return _revolved(solid.start, np.array([0.0, 0.0, 1.0]), _arc(solid.radius, -1.0, 1.0))
-    if solid.kind == SEGMENT:
+    if solid.kind == SOLID.segment:
         profile = np.vstack([_arc(solid.radius, -1.0, 0.0), _arc(solid.radius, 0.0, 1.0) + (0.0, length)])
     else:  # rims twice: an edge shared by two faces would be shaded smoothly
         rims = [[solid.radius, 0.0], [solid.radius, length]]

@@ -16,7 +16,7 @@ import pinposture as pp
 from pinposture import kernels
 from pinposture.arm import Coupling, JointSpec, ModuleTemplate, continuum_section, smooth_configuration
 from pinposture.errors import InvalidValue, PostureWarning, UnknownName, URDFError
-from pinposture.kernels.arrays import FULL, Rows
+from pinposture.kernels.arrays import COUPLING, Rows
 
 
 def coupled_arm(seed: int) -> pp.Arm:
@@ -287,7 +287,7 @@ def test_every_posture_control_matrix_is_that_of_the_dense_jacobian():
     state = arm.chain_at(arm.random(1))
     known = arm.kinematics.task_constants
     screws = state.screws
-    rows = Rows(known.every, known.dimensions, known.frames, FULL)
+    rows = Rows(known.every, known.dimensions, known.frames, COUPLING.full)
     for j in range(arm.nv):
         values = np.empty((arm.n_modules, 3))
         kernels.motions_along(screws, rows, np.eye(arm.nv)[j], values)

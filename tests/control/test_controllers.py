@@ -376,7 +376,7 @@ def test_limits_flag_what_they_did(narrow: pp.Arm) -> None:
         (lambda: pp.Selection(score="errors"), UnknownName, "did you mean 'error'"),
         (lambda: pp.Selection(section_sizes=(2, 0)), InvalidValue, r"section_sizes is \(2, 0\)"),
         (lambda: pp.Selection(section_sizes=(2.0,)), InvalidValue, "whole numbers"),
-        (lambda: pp.Projection(coupling="half"), UnknownName, "full, local"),
+        (lambda: pp.Projection(coupling="half"), UnknownName, "full, relative, local"),
         (lambda: pp.Projection(null_gain=-1.0), InvalidValue, "null_gain"),
         (lambda: pp.Selection(gain=(1.0, 0.0)), InvalidValue, r"gain\[1\]"),
         (lambda: step_with(pp.Projection(gain=(1.0, 0.5))), InvalidValue, "one for each control point"),

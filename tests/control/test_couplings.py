@@ -11,8 +11,8 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.control.controller import task_errors
-from pinposture.control.thesis.projection import NUMBERS
 from pinposture.curve import HELIX
+from pinposture.kernels.arrays import COUPLING
 
 FREE = pp.Limits(step=1e6)
 
@@ -55,7 +55,7 @@ def test_every_coupling_has_full_row_rank_also_with_free_points(
     arm = spatial if kind == "spatial" else planar
     state = arm.at(random_posture(arm, seed, amplitude))
     target = goal(arm, seed, free)
-    for coupling in NUMBERS:
+    for coupling in COUPLING._fields:
         method = pp.Projection(coupling=coupling)
         matrix, velocity, active, _ = method.posture_control_matrix(
             state, task_errors(state, target), target.has_target
@@ -93,7 +93,7 @@ def test_relative_coupling_unrolls_the_straight_arm_onto_the_helix_where_the_oth
 ) -> None:
     target = pp.resolve_targets(long, HELIX)
     ends = {}
-    for coupling in NUMBERS:
+    for coupling in COUPLING._fields:
         run = pp.track(long, target, long.straight(), pp.Projection(coupling=coupling), max_steps=400)
         ends[coupling] = run.point_errors[-1].mean() / long.length
     assert ends["relative"] < 1e-5

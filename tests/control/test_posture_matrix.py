@@ -14,10 +14,10 @@ from sampling import examples
 import pinposture as pp
 from pinposture import kernels
 from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
-from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows
+from pinposture.kernels.arrays import COUPLING, Rows
 from pinposture.kernels.posture_matrix import _reflect
 
-COUPLINGS = {"full": FULL, "relative": RELATIVE, "local": LOCAL}
+COUPLINGS = {"full": COUPLING.full, "relative": COUPLING.relative, "local": COUPLING.local}
 kinds = st.sampled_from(sorted(ARMS))
 
 
@@ -46,7 +46,7 @@ def of_points(state: pp.ArmState, points: np.ndarray) -> tuple[PostureMatrix, np
     """Posture control matrix of some control points, by passes and dense."""
     known = state.arm.kinematics.task_constants
     p = len(points)
-    rows = Rows(points.astype(np.int64), known.dimensions[:p], known.frames[:p], FULL)
+    rows = Rows(points.astype(np.int64), known.dimensions[:p], known.frames[:p], COUPLING.full)
     return PostureMatrix(state.screws, rows), state.task_jacobians[points].reshape(-1, state.arm.nv)
 
 
@@ -164,7 +164,7 @@ def chosen_from(state: pp.ArmState, points: np.ndarray, least: float) -> np.ndar
     known = state.arm.kinematics.task_constants
     p = len(points)
     kept = np.empty(len(points), dtype=bool)
-    rows = Rows(points, known.dimensions[:p], known.frames[:p], FULL)
+    rows = Rows(points, known.dimensions[:p], known.frames[:p], COUPLING.full)
     kernels.well_conditioned(state.screws, rows, least, kept)
     return kept
 

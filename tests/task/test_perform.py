@@ -372,7 +372,7 @@ def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
     reference = random_reference(arm, 13)
     motion = perform(reference, Watched(), limits_of(arm))
     assert motion.converged and all(progress.timed.scheduled for progress in seen)
-    assert seen[-1].place == seen[-1].path.end == reference.rows - 1
+    assert seen[-1].s == seen[-1].path.end == reference.rows - 1
 
 
 @pytest.mark.long

@@ -41,7 +41,7 @@ from pinposture.control.planner.path import PATH, JointPath, TimedPath, timed_ag
 from pinposture.control.tasks import Displaced, rows_of
 from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
+from pinposture.kernels.arrays import FULL_TURN, NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
 from pinposture.placement.points import POINT_FIT, POSTURE_SEARCH
 from pinposture.quadratic_program import Solution
@@ -58,7 +58,7 @@ class FollowingSettings(NamedTuple):
     `Arm.joint_units`."""
 
     progress_share: float = 0.005
-    """Share of a path that counts as progress for an arm that is hindered."""
+    """Share of a path that counts as progress for an arm that is held back."""
 
     arrived: float = 1e-9
     """Remaining joint motion at which the arm is at the end of a path, in `Arm.joint_units`."""
@@ -80,7 +80,7 @@ class FollowingSettings(NamedTuple):
     """Error that is attributed to rounding and not reduced further, in arm lengths."""
 
     most_lag: float = 0.5
-    """Share of a step by which an arm may lag behind its place on the path and still count as making
+    """Share of a step by which an arm may lag behind its position on the path and still count as making
     progress, however short the step that its slowest joint allows."""
 
     most_pursued_motion: float = 0.5
@@ -115,7 +115,7 @@ class StepsAhead(NamedTuple):
 
     Attributes:
         bounds: the limits that they keep.
-        places: place on the path after each step, in waypoints, s numbers.
+        s: position on the path after each step, in waypoints, k numbers.
         errors: sum of the distances of the control points from their targets before the first step and after
             each, s + 1 numbers [m].
         dq: the steps, (s, nv) [rad or m].
@@ -126,7 +126,7 @@ class StepsAhead(NamedTuple):
     """
 
     bounds: JointBounds
-    places: list[float]
+    s: list[float]
     errors: list[float]
     dq: Array
     reached: Array
@@ -140,10 +140,10 @@ class PathProgress(NamedTuple):
     Attributes:
         timed: the path with its time parameterization.
         objective: what the steps pursue; that of the path, until the target moves along it.
-        place: position of the arm on it, in waypoints.
+        s: position of the arm on it, in waypoints.
         speed: motion along it in the last step, in waypoints.
         progress_place: position at which the arm last made progress.
-        idle_travel: joint travel that the limits have allowed in hindered steps since then [rad].
+        idle_travel: joint travel that the limits have allowed in steps held back since then [rad].
         arrived: whether the arm is at the end; the remaining errors are then reduced directly.
         damping: damping factor of these steps.
         expected: expected joint positions, (nv,) [rad or m]; None before the first step.
@@ -155,9 +155,9 @@ class PathProgress(NamedTuple):
 
     timed: TimedPath
     objective: Objective
-    place: float = 0.0
+    s: float = 0.0
     speed: float = 0.0
-    progress_place: float = 0.0
+    progress_s: float = 0.0
     idle_travel: float = 0.0
     arrived: bool = False
     damping: float = 1.0
@@ -174,9 +174,9 @@ class PathProgress(NamedTuple):
 
     def moved_to(
         self,
-        place: float,
+        s: float,
         travel: float,
-        hindered: bool,
+        held_back: bool,
         expected: Array | None = None,
         ahead: StepsAhead | None = None,
         taken: int = 0,
@@ -184,22 +184,22 @@ class PathProgress(NamedTuple):
         """Return the progress after a step.
 
         Args:
-            place: the end of the step.
+            s: the end of the step.
             travel: joint travel that the limits allow in it [rad].
-            hindered: whether it is shorter than the limits or the profile allow. Any other step is no
-                lack of progress, however short; but only a share of the path makes up for hindered ones.
+            held_back: whether it is shorter than the limits or the profile allow. Any other step is no
+                lack of progress, however short; but only a share of the path makes up for those held back.
             expected: expected joint positions after it, (nv,) [rad or m]; None if unknown.
             ahead: the next steps, if already computed.
             taken: number of those steps that have been taken.
         """
-        idle = place < self.progress_place + FOLLOWING.progress_share * self.timed.path.end
-        waited = travel if hindered else 0.0
+        idle = s < self.progress_s + FOLLOWING.progress_share * self.timed.path.end
+        waited = travel if held_back else 0.0
         return PathProgress(  # faster than `_replace`, and called in nearly every cycle
             self.timed,
             self.objective,
-            place,
-            place - self.place,
-            self.progress_place if idle else place,
+            s,
+            s - self.s,
+            self.progress_s if idle else s,
             self.idle_travel + waited if idle else 0.0,
             self.arrived,
             self.damping,
@@ -250,7 +250,7 @@ class PathProgress(NamedTuple):
         ahead = self.ahead
         if ahead is None or ahead.stopping is None:
             return None
-        return np.concatenate([ahead.dq[self.taken : len(ahead.places)], ahead.stopping])
+        return np.concatenate([ahead.dq[self.taken : len(ahead.s)], ahead.stopping])
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return this progress on another path with as many waypoints, or within other limits."""
@@ -372,7 +372,9 @@ def follow(
     step = fast_step(progress, state, bounds, previous) if avoidance is None else None
     if step is not None:
         return step
-    return advance(progress, state, bounds, bounds.step_bounds(state, previous), avoidance)
+    step_bounds = bounds.step_bounds(state, previous)
+    candidate = propose(progress, state, bounds, step_bounds, avoidance)
+    return check_step(candidate, state, bounds, step_bounds, avoidance, progress)
 
 
 def fast_step(
@@ -385,7 +387,7 @@ def fast_step(
 ) -> Step | None:
     """Take the next step on a path in the simple case; several are computed in one call.
 
-    Most steps are of this kind. None in all other cases, which `advance` handles: limits that cannot be kept,
+    Most steps are of this kind. None in all other cases, which `propose` handles: limits that cannot be kept,
     an arm away from its expected position, the end of the path, a path that leaves the limits, or a step that
     is not clear.
 
@@ -407,7 +409,7 @@ def fast_step(
     arm = state.arm
     ahead = progress.ahead
     i = progress.taken
-    known = ahead is not None and ahead.bounds is bounds and i < len(ahead.places)
+    known = ahead is not None and ahead.bounds is bounds and i < len(ahead.s)
     if known and bounds.brake is not None:
         known = previous is not None and np.array_equal(previous, cast(StepsAhead, ahead).dq[i - 1])
     if ahead is None or not known or not progress.is_expected(state):
@@ -415,16 +417,16 @@ def fast_step(
             return None
         ahead = _steps_ahead(progress, state, bounds, previous)
         i = 0
-        if ahead.places and avoidance is None and bounds.effort is not None and bounds.dt is not None:
+        if ahead.s and avoidance is None and bounds.effort is not None and bounds.dt is not None:
             ahead = _within_torques(progress, ahead, StepTorques(arm, bounds, state.raw_positions, previous))
-        if not ahead.places:
+        if not ahead.s:
             return None
-    place = ahead.places[i]
+    s = ahead.s[i]
     before = ahead.errors[i]
     after = ahead.errors[i + 1]
     dq = ahead.dq[i].copy()
-    hindered = place <= progress.place
-    moved = progress.moved_to(place, bounds.travel, hindered, ahead.reached[i], ahead, i + 1)
+    held_back = s <= progress.s
+    moved = progress.moved_to(s, bounds.travel, held_back, ahead.reached[i], ahead, i + 1)
     stopping = None
     messages = _NO_MESSAGES
     if avoidance is not None:
@@ -497,36 +499,36 @@ def _steps_ahead(
     elif not progress.is_expected(state):
         count = 1
     ahead = NextSteps(
-        places=np.empty(count),
+        s=np.empty(count),
         errors=np.empty(count + 1),
         dq=np.zeros((count, arm.nv)),
         reached=np.empty((count, arm.nv)),
         at_limit=np.empty((count, arm.nv), dtype=np.bool_),
     )
     before = bounds.before(previous)
-    steps = kernels.advance(
+    steps = kernels.take_steps(
         arm.kinematics.constants,
         arm.kinematics.endless,
         bounds.arrays,
         state.raw_positions,
         state.placements.points,
         timed.arrays,
-        PathMotion(progress.place, progress.speed, expected, before, bounds.braking),
+        PathMotion(progress.s, progress.speed, expected, before, bounds.braking),
         PATH_TOLERANCES,
         PointGoals(goals.targets, goals.flags),
         ahead,
     )
-    places = ahead.places[:steps].tolist()
-    return StepsAhead(bounds, places, ahead.errors.tolist(), ahead.dq, ahead.reached, ahead.at_limit)
+    s = ahead.s[:steps].tolist()
+    return StepsAhead(bounds, s, ahead.errors.tolist(), ahead.dq, ahead.reached, ahead.at_limit)
 
 
 def _within_torques(progress: PathProgress, ahead: StepsAhead, torques: StepTorques) -> StepsAhead:
     """Return steps on a path with those that stop the arm after them; none if these exceed torque limits."""
-    steps = ahead.dq[: len(ahead.places)]
-    places = [progress.place, *ahead.places]
-    stopping = stopping_on_path(progress._replace(place=places[-1], speed=places[-1] - places[-2]))
+    steps = ahead.dq[: len(ahead.s)]
+    ends = [progress.s, *ahead.s]
+    stopping = stopping_on_path(progress._replace(s=ends[-1], speed=ends[-1] - ends[-2]))
     kept = torques.largest_share(np.concatenate([steps, stopping])) <= 1.0
-    return ahead._replace(stopping=stopping) if kept else ahead._replace(places=[])
+    return ahead._replace(stopping=stopping) if kept else ahead._replace(s=[])
 
 
 def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -> Step | None:
@@ -661,8 +663,8 @@ def pursue(
 
 def _turned(arm: Arm, change: Array) -> Array:
     """Return displacements (nv,) reduced by whole turns of joints that can make them."""
-    turns = np.rint(change / (2.0 * np.pi)) * (arm.kinematics.endless | arm.multi_turn)
-    return np.asarray(change - 2.0 * np.pi * turns)
+    turns = np.rint(change / FULL_TURN) * (arm.kinematics.endless | arm.multi_turn)
+    return np.asarray(change - FULL_TURN * turns)
 
 
 def stop_on_path(
@@ -686,19 +688,19 @@ def stop_on_path(
     arrays = timed.arrays
     none = np.zeros_like(arrays.top)  # a profile that asks for no speed
     speed = kernels.next_path_speed(
-        progress.place, progress.speed, arrays.small, arrays.most, arrays.parts, arrays.rows, none
+        progress.s, progress.speed, arrays.small, arrays.most, arrays.parts, arrays.rows, none
     )
-    place = progress.place + max(speed, 0.0)
-    dq = np.array(path.smooth_offset(place) - path.smooth_offset(progress.place))
-    moved = progress.moved_to(place, bounds.travel, hindered=False)
+    s = progress.s + max(speed, 0.0)
+    dq = np.array(path.smooth_offset(s) - path.smooth_offset(progress.s))
+    moved = progress.moved_to(s, bounds.travel, held_back=False)
     return check_step(CandidateStep(dq, moved), state, bounds, step_bounds, avoidance, progress)
 
 
 def stopping_on_path(progress: PathProgress) -> Array:
     """Return the steps that stop an arm on its path, as `stop_on_path` takes them, (k, nv) [rad or m]."""
-    places = np.empty(CYCLES.most_stopping + 1)
-    count = kernels.find_stop(progress.timed.arrays, progress.place, progress.speed, places)
-    return np.diff(progress.timed.path.smooth_offset(places[:count]), axis=0)
+    ends = np.empty(CYCLES.most_stopping + 1)
+    count = kernels.find_stop(progress.timed.arrays, progress.s, progress.speed, ends)
+    return np.diff(progress.timed.path.smooth_offset(ends[:count]), axis=0)
 
 
 def _clear_stop(
@@ -720,7 +722,7 @@ def _clear_stop(
     brake = bounds.brake
     if stop is not None or brake is None or bounds.effort is not None or moved.timed.profile is None:
         return stop
-    off = path.offset_of(state, moved.place) + dq - path.smooth_offset(moved.place)
+    off = path.offset_of(state, moved.s) + dq - path.smooth_offset(moved.s)
     if np.any(np.abs(off) > FOLLOWING.arrived * path.arm.joint_units):
         return None
     stopping = stopping_on_path(moved)
@@ -753,25 +755,7 @@ def propose(
     step_bounds: StepBounds,
     avoidance: Avoidance | None,
 ) -> CandidateStep:
-    """Return a step along a path, or at its end, before it is checked; arguments as for `advance`."""
-    if not progress.arrived:
-        return step_along(progress, state, step_bounds, bounds, avoidance)
-    constraints = StepConstraints.of(progress.objective, state, step_bounds, avoidance)
-    candidate = reduce_remaining(progress, constraints)
-    if bounds.effort is None or bounds.dt is None or constraints.retreating:
-        return candidate
-    torques = StepTorques(state.arm, bounds, state.raw_positions, None)
-    return candidate._replace(dq=torques.approach(candidate.dq))
-
-
-def advance(
-    progress: PathProgress,
-    state: ChainState,
-    bounds: JointBounds,
-    step_bounds: StepBounds,
-    avoidance: Avoidance | None,
-) -> Step:
-    """Take a step along a path, or at its end; the step is finite, within its limits and clear.
+    """Return a step along a path, or at its end, before `check_step` checks it.
 
     Args:
         progress: position of the arm on its path.
@@ -780,8 +764,14 @@ def advance(
         step_bounds: the steps that they allow.
         avoidance: the obstacles to avoid; None: none.
     """
-    candidate = propose(progress, state, bounds, step_bounds, avoidance)
-    return check_step(candidate, state, bounds, step_bounds, avoidance, progress)
+    if not progress.arrived:
+        return step_along(progress, state, step_bounds, bounds, avoidance)
+    constraints = StepConstraints.of(progress.objective, state, step_bounds, avoidance)
+    candidate = reduce_remaining(progress, constraints)
+    if bounds.effort is None or bounds.dt is None or constraints.retreating:
+        return candidate
+    torques = StepTorques(state.arm, bounds, state.raw_positions, None)
+    return candidate._replace(dq=torques.approach(candidate.dq))
 
 
 def step_along(
@@ -805,20 +795,20 @@ def step_along(
     """
     path = progress.timed.path
     objective = progress.objective
-    here = progress.place
+    here = progress.s
     tasks = objective.task_rows(state, priority=True)
     proposal = _next_on_path(progress, state, step_bounds, bounds, tasks)
-    place, left, inside, hindered, dq, _ = proposal
-    if place >= path.end and left <= FOLLOWING.arrived:
-        progress = progress._replace(arrived=True, place=path.end)
+    s, left, inside, held_back, dq, _ = proposal
+    if s >= path.end and left <= FOLLOWING.arrived:
+        progress = progress._replace(arrived=True, s=path.end)
         return reduce_remaining(progress, StepConstraints.of(objective, state, step_bounds, avoidance))
     if inside and avoidance is None and not objective.tasks:
         # All weights give the same step here, and a step ahead is progress (see `JointPath.step_along`).
-        return CandidateStep(dq, progress.moved_to(place, bounds.travel, hindered and place <= here))
-    if progress.timed.profile is None and here < place:
+        return CandidateStep(dq, progress.moved_to(s, bounds.travel, held_back and s <= here))
+    if progress.timed.profile is None and here < s:
         lag = np.abs(path.offset(here) - path.offset_of(state, here))
-        hindered = bool(np.any((lag > FOLLOWING.most_lag * progress.timed.bounds.bound)[objective.columns]))
-    progress = progress.moved_to(place, bounds.travel, hindered)
+        held_back = bool(np.any((lag > FOLLOWING.most_lag * progress.timed.bounds.bound)[objective.columns]))
+    progress = progress.moved_to(s, bounds.travel, held_back)
     may_follow = inside and tasks is None
     may_stop = may_follow and avoidance is not None and avoidance.still
     if may_stop and avoidance is not None and _clear_stop(progress, state, dq, bounds, avoidance) is not None:
@@ -859,7 +849,7 @@ def _bend_to_tasks(
     first = None
     planned: Array | None = None
     if tasks is not None:
-        planned = _planned_errors(progress, progress.place, len(tasks.errors))
+        planned = _planned_errors(progress, progress.s, len(tasks.errors))
         reached = cast(LinearRows, objective.task_rows(objective.state_after(state, along), priority=True))
         motion = tasks.matrix @ along + reached.errors - planned  # none but `along` if that leads there
         first = solve_priority(objective, constraints, tasks, motion, along)
@@ -886,8 +876,8 @@ def _share(rest: Array, dq: Array) -> Array:
     return rest * float(shares.min(initial=1.0))
 
 
-def _planned_errors(progress: PathProgress, place: float, count: int) -> Array:
-    """Return the errors of the tasks with priority at a place on the path, (r,) [m]; 0 if it has none.
+def _planned_errors(progress: PathProgress, s: float, count: int) -> Array:
+    """Return the errors of the tasks with priority at a position on the path, (r,) [m]; 0 if it has none.
 
     They pass straight from those at its start to those at its end, or as the path has them if that is almost
     so: near a singular configuration even the rounding of the path would need large steps.
@@ -896,10 +886,10 @@ def _planned_errors(progress: PathProgress, place: float, count: int) -> Array:
     before, after = path.task_errors
     if len(before) != count:
         return np.zeros(count)
-    share = place / path.end
+    share = s / path.end
     straight = (1.0 - share) * before + share * after
     arm = path.arm
-    state = arm.chain_at(arm.integrate(path.start, path.smooth_offset(place)))
+    state = arm.chain_at(arm.integrate(path.start, path.smooth_offset(s)))
     rows = cast(LinearRows, progress.objective.task_rows(state, priority=True))
     off = rows.errors - straight
     most = FOLLOWING.task_deviation * float(np.linalg.norm(after - before))
@@ -910,18 +900,18 @@ class _Proposal(NamedTuple):
     """A step along a path, before obstacles and tasks are considered.
 
     Attributes:
-        place: its end, in waypoints.
+        s: its end, in waypoints.
         left: largest remaining joint motion before the step, in `Arm.joint_units`.
         inside: whether it is within its limits.
-        hindered: whether it is shorter than the profile allows.
+        held_back: whether it is shorter than the profile allows.
         dq: the step, (nv,) [rad or m].
         rest: the rest of the motion, (nv,) [rad or m], if each joint moves there on its own; else None.
     """
 
-    place: float
+    s: float
     left: float
     inside: bool
-    hindered: bool
+    held_back: bool
     dq: Array
     rest: Array | None = None
 
@@ -936,7 +926,7 @@ def _next_on_path(
     """Propose the next step along the path, with the rows of the tasks with priority at the state."""
     timed = progress.timed
     path = progress.timed.path
-    here = progress.place
+    here = progress.s
     columns = progress.objective.columns
     units = progress.objective.chain.units
     if timed.profile is None:
@@ -945,7 +935,7 @@ def _next_on_path(
         if here >= path.end and tasks is not None:
             rest = _admitted(progress, here, tasks, path.offsets[-1] - path.offset_of(state, here))
             left = float(np.abs(rest[columns] / units).max(initial=0.0))
-        return _Proposal(step.place, left, step.inside, True, step.dq)
+        return _Proposal(step.s, left, step.inside, True, step.dq)
     offset = path.offset_of(state, here)
     rest = path.offsets[-1] - offset
     if tasks is not None and (path.end == 1.0 or here >= path.end):
@@ -956,8 +946,8 @@ def _next_on_path(
         # On so short a path each joint moves to the end on its own, as fast as it can stop there.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), step_bounds.lower), step_bounds.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
-        place = 1.0 - (1.0 - here) * min(ahead / max(left, FOLLOWING.arrived), 1.0)
-        return _Proposal(place, left, True, True, dq, rest)
+        s = 1.0 - (1.0 - here) * min(ahead / max(left, FOLLOWING.arrived), 1.0)
+        return _Proposal(s, left, True, True, dq, rest)
     lag = path.smooth_offset(here) - offset
     if tasks is not None:
         lag = _admitted(progress, here, tasks, lag)
@@ -967,7 +957,7 @@ def _next_on_path(
         slowing = np.maximum(torques.slowing(state.raw_positions, lag) * np.abs(lag), FOLLOWING.arrived)
         braking = slowing if bounds.brake is None else np.minimum(slowing, braking)
     dq = np.empty(state.arm.nv)
-    place, hindered, inside = kernels.step_on_profile(
+    s, held_back, inside = kernels.step_on_profile(
         timed.arrays,
         columns,
         units,
@@ -980,23 +970,23 @@ def _next_on_path(
         lag,
         dq,
     )
-    return _Proposal(place, left, inside, hindered, dq)
+    return _Proposal(s, left, inside, held_back, dq)
 
 
-def _admitted(progress: PathProgress, place: float, tasks: LinearRows, motion: Array) -> Array:
-    """Return the part of a motion to a place on a path that tasks with priority admit, and what they need.
+def _admitted(progress: PathProgress, s: float, tasks: LinearRows, motion: Array) -> Array:
+    """Return the part of a motion to a position on a path that tasks with priority admit, and what they need.
 
     A path never takes the tasks exactly. An arm that waited for the rest of the motion would wait for ever.
 
     Args:
         progress: position of the arm on the path.
-        place: the place, in waypoints.
+        s: the position, in waypoints.
         tasks: the rows of the tasks at the state from which the motion starts.
         motion: the motion from there, (nv,) [rad or m].
     """
     objective = progress.objective
     matrix = tasks.matrix
-    needed = tasks.errors - _planned_errors(progress, place, len(tasks.errors))
+    needed = tasks.errors - _planned_errors(progress, s, len(tasks.errors))
     missed = needed - matrix @ objective.normalize(motion)
     damping = DESCENT.priority_damping * mean_diagonal(objective, matrix)
     change = matrix.T @ np.linalg.solve(damped_hessian(matrix.T, damping), missed)
@@ -1077,12 +1067,12 @@ def check_step(
         dq, share, stopping, relaxed = avoidance.clear_step(state, proposed)
         if share < 1.0 and not progress.arrived:
             done = float(np.clip((dq @ proposed) / max(float(proposed @ proposed), 1e-300), 0.0, 1.0))
-            place = before.place + done * (progress.place - before.place)
-            moved = before.moved_to(place, bounds.travel, True)
+            s = before.s + done * (progress.s - before.s)
+            moved = before.moved_to(s, bounds.travel, True)
             progress = progress._replace(
-                place=moved.place,
+                s=moved.s,
                 speed=moved.speed,
-                progress_place=moved.progress_place,
+                progress_s=moved.progress_s,
                 idle_travel=moved.idle_travel,
             )
         if progress.arrived and not (reason or np.any(dq)):

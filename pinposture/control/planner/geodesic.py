@@ -212,7 +212,7 @@ class Geodesic:
         avoidance = Avoidance.of(self.scene, updated.objective, now.bounds)
         if avoidance is None:
             return updated
-        path = shortcut(updated.path, updated.place, now.state, now.bounds, avoidance, prompt=not self.plans)
+        path = shortcut(updated.path, updated.s, now.state, now.bounds, avoidance, prompt=not self.plans)
         return updated if path is None else PathProgress.begin(timed_again(path, now.limits, effort=effort))
 
     def _renewed(self, progress: PathProgress) -> PathProgress:
@@ -239,7 +239,7 @@ class Geodesic:
         attempt = progress.path.attempt + 1
         if self.scene is not None and self.scene.moving:  # the path may be clear later
             attempt = 0
-        if attempt >= GEODESIC.path_attempts or progress.place >= progress.path.end:
+        if attempt >= GEODESIC.path_attempts or progress.s >= progress.path.end:
             return progress._replace(arrived=True)
         problem = self._problem(progress.objective, now.state, now.bounds)
         rest = None if progress.path.blocked_by else _rest(progress, now.state)
@@ -297,11 +297,11 @@ class Geodesic:
             path = self._find_path(problem)
             return PathProgress.begin(timed_again(path, limits, effort=effort))
         idle = progress.idle_travel >= GEODESIC.most_idle_travel
-        place = np.inf if progress.arrived or progress.path.attempt or idle else progress.place
+        s = np.inf if progress.arrived or progress.path.attempt or idle else progress.s
         former = progress.path
         if former.objective is not progress.objective:
             former = former.revised(objective=progress.objective)
-        path, bend = replan(former, place, progress.bend, problem, prompt=not self.plans)
+        path, bend = replan(former, s, progress.bend, problem, prompt=not self.plans)
         if bend is None:
             return PathProgress.begin(timed_again(path, limits, effort=effort))
         return progress.deformed(path, bend, limits)
@@ -812,7 +812,7 @@ def _is_almost_inside(state: ChainState, bounds: JointBounds) -> bool:
 def _rest(progress: PathProgress, state: ChainState) -> Array:
     """Return displacements from a state near a path to waypoints ahead, (N + 1, nv); the first is zero."""
     path = progress.path
-    ahead = path.offsets[int(progress.place) + 1 :] - path.offset_of(state, progress.place)
+    ahead = path.offsets[int(progress.s) + 1 :] - path.offset_of(state, progress.s)
     return np.vstack([np.zeros((1, ahead.shape[1])), ahead])
 
 

@@ -78,13 +78,13 @@ class PathStep(NamedTuple):
     """A step along a path.
 
     Attributes:
-        place: its end, in waypoints from the start, in [0, N]; unchanged if the limits admit no step ahead.
+        s: its end, in waypoints from the start, in [0, N]; unchanged if the limits admit no step ahead.
         left: largest remaining joint motion before the step, in `Arm.joint_units`.
         inside: whether it is within its limits.
         dq: the step, (nv,) [rad or m].
     """
 
-    place: float
+    s: float
     left: float
     inside: bool
     dq: Array
@@ -94,7 +94,7 @@ class PathStep(NamedTuple):
 class JointPath:
     """A path: waypoints connected by straight lines in joint space, and its objective.
 
-    A place on the path is measured in waypoints from the start, in [0, N].
+    A position on the path is measured in waypoints from the start, in [0, N].
 
     Attributes:
         objective: what it was planned for, which includes the target posture.
@@ -106,7 +106,7 @@ class JointPath:
             empty if it is clear.
         found_by: how it was found: "relaxation", "tree search" or "withdrawal".
         task_errors: errors of the tasks with priority at the start and the end, 2 x (r,) [m]. In between they
-            should change linearly with the place.
+            should change linearly with the position.
     """
 
     objective: Objective
@@ -146,13 +146,13 @@ class JointPath:
 
         On the curve through the waypoints, there and halfway between them.
         """
-        places = np.linspace(0.0, self.end, 2 * int(self.end) + 1)
-        torques = self.arm.dynamics.gravity_torques(self.positions + self.smooth_offset(places))
+        s = np.linspace(0.0, self.end, 2 * int(self.end) + 1)
+        torques = self.arm.dynamics.gravity_torques(self.positions + self.smooth_offset(s))
         return np.asarray(np.abs(torques).max(axis=0))
 
     @cached_property
     def end(self) -> float:
-        """The last place, N."""
+        """The last position, N."""
         return float(len(self.offsets) - 1)
 
     @cached_property
@@ -170,35 +170,35 @@ class JointPath:
         """Configurations at the waypoints, (N + 1, nq)."""
         return self.arm.integrate(self.start, self.offsets)
 
-    def offset(self, place: float | Array) -> Array:
-        """Return the displacement from the start at a place, or (k,) of them, (..., nv) [rad or m]."""
-        i, share = self._piece(place)
+    def offset(self, s: float | Array) -> Array:
+        """Return the displacement from the start at a position, or (k,) of them, (..., nv) [rad or m]."""
+        i, share = self._piece(s)
         return np.asarray((1.0 - share) * self.offsets[i] + share * self.offsets[i + 1])
 
-    def smooth_offset(self, place: float | Array) -> Array:
+    def smooth_offset(self, s: float | Array) -> Array:
         """Return the displacement from the start on the cubic spline through the waypoints; as `offset`."""
-        places = np.array(place, dtype=np.float64, ndmin=1)
-        filled = np.empty((len(places), self.offsets.shape[1]))
-        kernels.smooth_offsets(self.offsets, self.slopes, places, filled)
-        return filled if np.ndim(place) else filled[0]
+        many = np.array(s, dtype=np.float64, ndmin=1)
+        filled = np.empty((len(many), self.offsets.shape[1]))
+        kernels.smooth_offsets(self.offsets, self.slopes, many, filled)
+        return filled if np.ndim(s) else filled[0]
 
-    def _piece(self, place: float | Array) -> tuple[Any, Any]:
-        """Return the waypoint before a place, and how far the place is on the way to the next, in [0, 1]."""
-        if np.ndim(place):
-            i = np.minimum(np.asarray(place, dtype=np.intp), len(self.offsets) - 2)
-            return i, (place - i)[:, None]
-        first = min(int(place), len(self.offsets) - 2)
-        return first, place - first
+    def _piece(self, s: float | Array) -> tuple[Any, Any]:
+        """Return the waypoint before a position, and how far that is on the way to the next, in [0, 1]."""
+        if np.ndim(s):
+            i = np.minimum(np.asarray(s, dtype=np.intp), len(self.offsets) - 2)
+            return i, (s - i)[:, None]
+        first = min(int(s), len(self.offsets) - 2)
+        return first, s - first
 
-    def configuration(self, place: float) -> Array:
-        """Return the configuration at a place, (nq,)."""
-        return self.arm.integrate(self.start, self.offset(place))
+    def configuration(self, s: float) -> Array:
+        """Return the configuration at a position, (nq,)."""
+        return self.arm.integrate(self.start, self.offset(s))
 
-    def offset_of(self, state: ChainState, place: float) -> Array:
-        """Return the displacement (nv,) from the start to a state near a place, with full turns of joints."""
+    def offset_of(self, state: ChainState, s: float) -> Array:
+        """Return the displacement (nv,) from the start to a state near a position, with its full turns."""
         filled = np.empty(state.arm.nv)
         kernels.path_offset(
-            self.offsets, self.positions, state.raw_positions, state.arm.kinematics.endless, place, filled
+            self.offsets, self.positions, state.raw_positions, state.arm.kinematics.endless, s, filled
         )
         return filled
 
@@ -226,15 +226,15 @@ class JointPath:
         vars(other)["slopes"] = slopes
         return other
 
-    def bent(self, place: float, change: Array, position_limits: Array) -> JointPath:
-        """Return the path to another end, with a displacement that grows linearly from a place on.
+    def bent(self, s: float, change: Array, position_limits: Array) -> JointPath:
+        """Return the path to another end, with a displacement that grows linearly from a position on.
 
         Args:
-            place: where the displacement begins.
+            s: where the displacement begins.
             change: displacement of the end, (nv,) [rad or m].
             position_limits: smallest and largest joint positions, (2, nv) [rad or m].
         """
-        shares = np.arange(len(self.offsets)) - place
+        shares = np.arange(len(self.offsets)) - s
         shares = np.maximum(shares / max(shares[-1], 1e-9), 0.0)
         offsets = self.offsets + shares[:, None] * change
         lowest, highest = position_limits - self.positions
@@ -243,8 +243,8 @@ class JointPath:
         offsets = np.ascontiguousarray(np.minimum(np.maximum(offsets, lowest), highest))
         return replace(self, offsets=offsets)
 
-    def step_along(self, state: ChainState, place: float, step_bounds: Array) -> PathStep:
-        """Return the step to the farthest place such that the limits admit all places up to it.
+    def step_along(self, state: ChainState, s: float, step_bounds: Array) -> PathStep:
+        """Return the step to the farthest position such that the limits admit all positions up to it.
 
         Such steps always reach the end. Let L = sum over remaining pieces of max_j |dq_j| / b_j be the length
         of the remaining path in steps of its slowest joints, where b_j is the largest step of joint j, at
@@ -254,7 +254,7 @@ class JointPath:
 
         Args:
             state: the state of the arm.
-            place: its place on the path.
+            s: its position on the path.
             step_bounds: smallest and largest step, (2, nv) [rad or m].
         """
         dq = np.zeros(self.arm.nv)
@@ -265,7 +265,7 @@ class JointPath:
             self.arm.kinematics.endless,
             self.objective.columns,
             self.objective.chain.units,
-            place,
+            s,
             step_bounds,
             PATH.most_step,
             dq,
@@ -275,7 +275,7 @@ class JointPath:
 
 # Time-optimal speed along a path with acceleration limits.
 #
-# The place s on the path advances by v per step. Joints then move by q' v per step, and this changes by
+# The position s on the path advances by v per step. Joints then move by q' v per step, and this changes by
 # q'' v^2 + q' u between steps, where u is the change of v. With the largest step b and its largest change A,
 # less a reserve for corrections, each joint requires
 #
@@ -363,10 +363,10 @@ class SpeedProfile:
         lengths = 1.0 / np.diff(self.parts.first)[self.parts.piece]
         return float((2.0 * lengths / speeds).sum())
 
-    def next(self, place: float, speed: float) -> float:
+    def next(self, s: float, speed: float) -> float:
         """Return the number of waypoints to advance in this step, after `speed` in the previous one."""
         return kernels.next_path_speed(
-            place,
+            s,
             speed,
             PATH.zero_slope,
             self.most,
@@ -516,7 +516,7 @@ class TimedPath:
         return bool(np.all(np.isfinite(self.max_rate)))
 
     @cached_property
-    def places(self) -> Array:
+    def s(self) -> Array:
         """Place after each step of an arm that follows the path undisturbed, (K + 1,) [waypoints].
 
         Without a profile the arm may cut corners at waypoints and arrive earlier.
@@ -529,25 +529,25 @@ class TimedPath:
             passed = np.concatenate([[0.0], np.cumsum(pieces.max(axis=1))])
             steps = np.append(np.arange(0.0, passed[-1]), passed[-1])
             return np.asarray(np.interp(steps, passed, np.arange(end + 1.0)))
-        places = [0.0]
+        s = [0.0]
         speed = 0.0
-        while places[-1] < end * (1.0 - PATH.zero_slope):
-            speed = min(profile.next(places[-1], speed), end - places[-1])
+        while s[-1] < end * (1.0 - PATH.zero_slope):
+            speed = min(profile.next(s[-1], speed), end - s[-1])
             if speed <= 0.0:
                 break
-            places.append(places[-1] + speed)
-        return np.array(places)
+            s.append(s[-1] + speed)
+        return np.array(s)
 
     @property
     def duration(self) -> float:
         """Time to the end of the path [s]; the number of steps if the limits have no `dt`."""
-        return (len(self.places) - 1) * (1.0 if self.limits.dt is None else self.limits.dt)
+        return (len(self.s) - 1) * (1.0 if self.limits.dt is None else self.limits.dt)
 
     @cached_property
     def configurations(self) -> Array:
         """Configuration after each step, (K + 1, nq): with a profile, on the spline through the waypoints."""
         offset = self.path.offset if self.profile is None else self.path.smooth_offset
-        return self.path.arm.integrate(self.path.start, offset(self.places))
+        return self.path.arm.integrate(self.path.start, offset(self.s))
 
 
 def profile_effort(arm: Arm, bounds: JointBounds, effort: bool) -> Array | None:

@@ -276,7 +276,7 @@ def _task_errors(
     state: ChainState,
     goal: ChainState,
     former: JointPath | None = None,
-    place: float = 0.0,
+    s: float = 0.0,
 ) -> tuple[Array, Array]:
     """Return the errors of the tasks with priority at the ends of a path, as in `JointPath.task_errors`.
 
@@ -285,8 +285,8 @@ def _task_errors(
         state: the state of the arm.
         goal: the state at the end.
         former: the path that is bent from the place of the arm on; None: the path starts at the arm. The
-            errors planned for that place change by as much as other tasks change those of the arm.
-        place: that place, in waypoints.
+            errors planned for that position change by as much as other tasks change those of the arm.
+        s: that position, in waypoints.
     """
     now, last = (objective.task_rows(at, priority=True) for at in (state, goal))
     if now is None or last is None:
@@ -294,7 +294,7 @@ def _task_errors(
     if former is None:
         return now.errors, last.errors
     here = now.errors
-    share = place / former.end
+    share = s / former.end
     before = former.objective.task_rows(state, priority=True)
     if before is not None and len(former.task_errors[0]) == len(here) == len(before.errors):
         first, end = former.task_errors
@@ -330,7 +330,7 @@ def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> Join
 
 def shortcut(
     path: JointPath,
-    place: float,
+    s: float,
     state: ChainState,
     bounds: JointBounds,
     avoidance: Avoidance,
@@ -340,7 +340,7 @@ def shortcut(
 
     Args:
         path: the path, planned when the obstacles were elsewhere.
-        place: position of the arm on it, in waypoints.
+        s: position of the arm on it, in waypoints.
         state: the state of the arm.
         bounds: the limits of the joints.
         avoidance: the obstacles to avoid.
@@ -353,7 +353,7 @@ def shortcut(
     if prompt and np.abs(change).max(initial=0.0) * len(change) > PLAN.most_short_motion:
         return None
     straight = np.stack([np.zeros(arm.nv), objective.displacement(change)])
-    left = path.length - np.interp(place, np.arange(len(path.lengths)), path.lengths)
+    left = path.length - np.interp(s, np.arange(len(path.lengths)), path.lengths)
     if left <= PLAN.least_shortened * objective.measure_pieces(state.positions, straight).sum():
         return None
     if np.any(avoidance.near(state).rates < 0.0):  # an obstacle still approaches
@@ -751,7 +751,7 @@ def is_small_change(before: Objective, after: Objective) -> bool:
 
 def replan(
     path: JointPath,
-    place: float,
+    s: float,
     bend: Array | None,
     problem: PlanningProblem,
     prompt: bool = False,
@@ -763,7 +763,7 @@ def replan(
 
     Args:
         path: the path to the previous target.
-        place: position of the arm on it, in waypoints; infinite: the path cannot be reused.
+        s: position of the arm on it, in waypoints; infinite: the path cannot be reused.
         bend: displacement of its end so far, (nv,) [rad or m]; None: none.
         problem: what is planned now. A bent path is not checked again, but each step is.
         prompt: whether to raise `PlanNeeded` if more than a search for the goal and a short path is needed.
@@ -795,11 +795,9 @@ def replan(
     change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
     bent = change if bend is None else bend + change
     too_far = _size(objective, bent) > PLAN.most_bend * _size(objective, arm.difference(state.q, before))
-    if place < np.inf and not too_far:
-        errors = _task_errors(objective, state, goal, path, place)
-        return replace(
-            path.bent(place, change, position_limits), objective=objective, task_errors=errors
-        ), bent
+    if s < np.inf and not too_far:
+        errors = _task_errors(objective, state, goal, path, s)
+        return replace(path.bent(s, change, position_limits), objective=objective, task_errors=errors), bent
     new = None
     if not objective.tasks or _size(objective, arm.difference(state.q, goal.q)) <= PLAN.least_planned_motion:
         new = short_path(problem, goal)

@@ -14,7 +14,7 @@ from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Info, call_own
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import FULL, LOCAL, Factors, Rows, Screws
+from pinposture.kernels.arrays import COUPLING, Factors, Rows, Screws
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -60,12 +60,12 @@ class PostureMatrix:
     @cached_property
     def smallest(self) -> float:
         """Smallest singular value [m/rad]."""
-        return float(self._own.min()) if self._rows.coupling == LOCAL else self._extreme(True)
+        return float(self._own.min()) if self._rows.coupling == COUPLING.local else self._extreme(True)
 
     @cached_property
     def largest(self) -> float:
         """Largest singular value [m/rad]."""
-        return float(self._own.max()) if self._rows.coupling == LOCAL else self._extreme(False)
+        return float(self._own.max()) if self._rows.coupling == COUPLING.local else self._extreme(False)
 
     @property
     def info(self) -> dict[str, Info | Callable[[], Info]]:
@@ -74,7 +74,7 @@ class PostureMatrix:
 
     @property
     def _own(self) -> Array:
-        """Singular values of the diagonal blocks of L, which are all of L for LOCAL rows.
+        """Singular values of the diagonal blocks of L, which are all of L for local rows.
 
         A block with fewer rows is padded with its first entry, which is between its singular values.
         """
@@ -173,7 +173,7 @@ def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
     known = arm.kinematics.task_constants
     gradient = np.empty(len(arm.columns))
     motion = np.empty(errors.shape)
-    every = Rows(known.every, known.dimensions, known.frames, FULL)
+    every = Rows(known.every, known.dimensions, known.frames, COUPLING.full)
     kernels.joints_along(screws, every, errors, gradient)
     kernels.motions_along(screws, every, gradient, motion)
     motion = motion[:, : arm.dimension]

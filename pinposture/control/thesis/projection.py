@@ -23,13 +23,11 @@ from pinposture.control.thesis.posture_matrix import (
     null_motion,
 )
 from pinposture.control.thesis.sections import best_chain, checked_section_sizes
-from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
+from pinposture.kernels.arrays import COUPLING, Rows, Screws
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 Coupling = Literal["full", "local", "relative"]
-
-NUMBERS: dict[Coupling, int] = {"full": FULL, "local": LOCAL, "relative": RELATIVE}
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ class Projection:
         require_positive("threshold", self.threshold)
         object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("null_gain", self.null_gain, zero=True)
-        require_known("coupling", self.coupling, NUMBERS)
+        require_known("coupling", self.coupling, COUPLING._fields)
         if self.section_sizes is not None:
             object.__setattr__(self, "section_sizes", checked_section_sizes(self.section_sizes))
 
@@ -184,7 +182,7 @@ class Projection:
         smallest = float(found)
         if not np.any(ranks):
             return None, 0.0
-        return Rows(stations, ranks, directions, NUMBERS[self.coupling]), smallest
+        return Rows(stations, ranks, directions, getattr(COUPLING, self.coupling)), smallest
 
     def _along(self, rows: Rows, errors: Array) -> Array:
         """Return the errors, (m, 3) in world axes, along the directions of the rows, (p, 3) [m]."""

@@ -25,7 +25,7 @@ from pinposture.control.thesis.posture_matrix import (
 )
 from pinposture.control.thesis.sections import SectionScore, best_branch, checked_section_sizes, section_edges
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import FULL, Rows, Screws
+from pinposture.kernels.arrays import COUPLING, Rows, Screws
 from pinposture.placement import Target
 
 # Candidate control sets, and the active one among them (Sections 4.3 and 4.4).
@@ -273,4 +273,4 @@ def _full_rows(arm: Arm, points: NDArray[np.int64]) -> Rows:
     """Return the rows of control points in all directions."""
     known = arm.kinematics.task_constants
     count = len(points)
-    return Rows(points, known.dimensions[:count], known.frames[:count], FULL)
+    return Rows(points, known.dimensions[:count], known.frames[:count], COUPLING.full)

@@ -64,8 +64,8 @@ def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
     first_out = int(np.argmin(within)) if not within.all() else FINE
     expected = places[max(first_out - 1, 0)]
     gap = path.end / FINE
-    assert expected - 1e-9 <= ahead.place <= expected + gap + 1e-9
-    np.testing.assert_allclose(ahead.dq, sampled(path, np.array([ahead.place]))[0] - offset, atol=1e-12)
+    assert expected - 1e-9 <= ahead.s <= expected + gap + 1e-9
+    np.testing.assert_allclose(ahead.dq, sampled(path, np.array([ahead.s]))[0] - offset, atol=1e-12)
     assert np.all(np.abs(ahead.dq) <= bound * (1.0 + 1e-9))
 
 
@@ -82,7 +82,7 @@ def test_an_arm_that_is_off_the_path_waits_at_its_place(side: float) -> None:
         objective_of(planar()), np.zeros(4), np.array([[0.0, 0, 0, 0], [0.0, 0.05, 0, 0], [0.0, 0.1, 0, 0]])
     )
     ahead = ahead_of(path, np.array([0.5 * side, 0.0, 0.0, 0.0]), 0.2, np.full(4, 0.1))
-    assert ahead.place == 0.2 and not ahead.inside
+    assert ahead.s == 0.2 and not ahead.inside
     np.testing.assert_allclose(ahead.dq, [-0.5 * side, 0.01, 0.0, 0.0], atol=1e-12)
 
 
@@ -97,7 +97,7 @@ def test_stepping_ahead_again_and_again_ends_at_the_end() -> None:
         while place < path.end:
             ahead = ahead_of(path, offset, place, bound)
             assert ahead.inside and ahead.left == pytest.approx(np.abs(path.offsets[-1] - offset).max())
-            place = ahead.place
+            place = ahead.s
             offset = offset + ahead.dq
             steps = steps + 1
             # Each step but the last covers a chord of one bound, so at least as much of the path.

@@ -73,7 +73,7 @@ def test_a_way_that_is_bent_ends_where_the_target_is_and_begins_where_the_arm_wa
     _, (before, after) = followed([first, second], start)
     assert after.path.start is before.path.start and after.bend is not None
     np.testing.assert_allclose(after.path.configuration(after.path.end), wanted[1], atol=1e-12)
-    moved = after.path.offset(before.place) - before.path.offset(before.place)
+    moved = after.path.offset(before.s) - before.path.offset(before.s)
     assert np.abs(moved).max() < 0.02 * np.abs(after.bend).max()
 
 

@@ -54,7 +54,7 @@ class Ride:
 
     def step(self, limits: pp.Limits | None = None) -> PathProgress:
         limits = self.limits if limits is None else limits
-        place = self.progresses[-1].place if self.progresses else 0.0
+        place = self.progresses[-1].s if self.progresses else 0.0
         step = self.controller.step(self.arm.at(self.q[-1]), self.target(place), limits, self.memory)
         assert not step.violated_constraints
         self.memory = step.memory
@@ -63,15 +63,13 @@ class Ride:
         return self.progresses[-1]
 
     def to_the_end(self, most_steps: int = 20_000) -> Ride:
-        while not self.progresses or self.progresses[-1].place < self.path.end:
+        while not self.progresses or self.progresses[-1].s < self.path.end:
             assert self.step().timed.scheduled and len(self.progresses) < most_steps
         return self
 
     def off_the_way(self) -> np.ndarray:
         """How far each configuration is from the way, largest joint, (steps,)."""
-        wanted = [
-            self.arm.integrate(self.path.start, self.path.smooth_offset(c.place)) for c in self.progresses
-        ]
+        wanted = [self.arm.integrate(self.path.start, self.path.smooth_offset(c.s)) for c in self.progresses]
         pairs = zip(self.q[1:], wanted, strict=True)
         return np.array([np.abs(self.arm.difference(a, b)).max() for a, b in pairs])
 
@@ -102,7 +100,7 @@ def test_time_is_kept_where_limits_allow_it() -> None:
     )
     ride.to_the_end()
     np.testing.assert_allclose(
-        [progress.place for progress in ride.progresses], 0.5 * np.arange(1, 159), atol=1e-9
+        [progress.s for progress in ride.progresses], 0.5 * np.arange(1, 159), atol=1e-9
     )
 
 
@@ -118,7 +116,7 @@ def test_no_joint_goes_beyond_the_end(seed: int, given: bool) -> None:
     if not given:  # a way of its own to the same place
         ride.memory = None
     for _ in range(400):
-        place = path.end if not given or (ride.progresses and ride.progresses[-1].place >= path.end) else 0.0
+        place = path.end if not given or (ride.progresses and ride.progresses[-1].s >= path.end) else 0.0
         step = ride.controller.step(one().at(ride.q[-1]), ride.target(place), limits, ride.memory)
         ride.memory = step.memory
         ride.q.append(one().integrate(ride.q[-1], step.dq))
@@ -146,13 +144,13 @@ def test_what_is_behind_is_waited_for() -> None:
     for _ in range(30):
         ride.step()
     for _ in range(4):
-        place = ride.progresses[-1].place
+        place = ride.progresses[-1].s
         back = np.zeros(arm().nv)
         back[[2, 5]] = np.diff(ride.q[-2:], axis=0)[0, [2, 5]]
         ride.q[-1] = ride.q[-1] - back
         assert ride.step().timed.scheduled
         assert np.abs(np.diff(ride.q[-2:], axis=0)).max() <= 0.02 * (1.0 + 1e-9)
-        assert ride.off_the_way()[-1] < 1e-9 and ride.progresses[-1].place >= place
+        assert ride.off_the_way()[-1] < 1e-9 and ride.progresses[-1].s >= place
 
 
 def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
@@ -162,7 +160,7 @@ def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
         progress = ride.step()
     tight = pp.Limits(step=None, velocity=0.2, dt=0.02, acceleration=2.0)
     other = progress.retimed(progress.path, tight)
-    assert other.path is progress.path and other.place == progress.place
+    assert other.path is progress.path and other.s == progress.s
     assert other.timed.max_rate == progress.timed.max_rate
     tops = other.timed.profile.top, progress.timed.profile.top
     assert np.all(tops[0] <= tops[1] + 1e-12) and tops[0][20] < tops[1][20]
@@ -202,5 +200,5 @@ def test_a_way_begins_with_what_it_was_given() -> None:
     memory = pp.Geodesic().start(retime(path, limits, 0.3), arm().chain_at(path.start))
     assert isinstance(memory, GeodesicMemory) and not np.any(memory.dq)
     progress = memory.progress
-    assert progress.timed.scheduled and progress.path is path and progress.place == 0.0
+    assert progress.timed.scheduled and progress.path is path and progress.s == 0.0
     assert progress.timed.max_rate == 0.3 and not retime(path, limits).scheduled

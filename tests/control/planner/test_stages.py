@@ -118,7 +118,7 @@ def test_without_acceleration_limits_the_slowest_joint_sets_the_time(seed: int) 
     q, target = start_and_goal(seed)
     plan = pp.plan(arm().at(q), target)
     path = pp.retime(plan, FREE)
-    assert path.profile is None and path.places[0] == 0.0 and path.places[-1] == plan.end
+    assert path.profile is None and path.s[0] == 0.0 and path.s[-1] == plan.end
     slowest = np.abs(np.diff(plan.offsets, axis=0)).max(axis=1).sum() / 0.05
     assert path.duration == np.ceil(slowest)
     _, steps = followed(path, q)
@@ -135,7 +135,7 @@ def test_an_arm_that_was_pushed_comes_back_to_its_path() -> None:
         q = arm().integrate(q, step.dq)
         if number == 20:
             q = arm().integrate(q, np.full(arm().nv, 0.02))
-    place = memory.progress.place
+    place = memory.progress.s
     off = np.abs(q - (path.path.start + path.path.smooth_offset(place))).max()
     assert 0.0 < place < path.path.end and off < 1e-9
 
@@ -158,7 +158,7 @@ def test_an_arm_stays_on_a_clear_path_though_a_straight_stop_would_leave_it() ->
     scene = pp.Scene({"ball": pp.Sphere(beside, radius)}, self_collision=False, margin=margin)
     timed = pp.retime(replace(curve, scene=scene), TIMED)
     configurations, steps = followed(timed, q)
-    assert len(steps) <= len(timed.places)
+    assert len(steps) <= len(timed.s)
     assert all(not step.near and not step.violated_constraints for step in steps)
     assert np.abs(configurations - timed.configurations[: len(configurations)]).max() < 1e-9
     # Nor does it leave it where it stops.

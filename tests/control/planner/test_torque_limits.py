@@ -83,7 +83,7 @@ def test_torques_keep_their_limits_on_timed_paths_and_where_they_are_followed(se
     held = [arm.at(path.configuration(place)).gravity_torques for place in np.linspace(0.0, path.end, 50)]
     arm = arm.with_effort(float(np.abs(held).max()) * rng.uniform(1.1, 3.0))
     timed = timed_between(arm, start, goal, limits)
-    offsets = timed.path.smooth_offset(timed.places)
+    offsets = timed.path.smooth_offset(timed.s)
     assert largest_share(arm, start, offsets, dt) <= 1.0
     q = start
     memory = None
@@ -95,7 +95,7 @@ def test_torques_keep_their_limits_on_timed_paths_and_where_they_are_followed(se
         followed.append(followed[-1] + step.dq)
         assert len(followed) < 3000
     assert largest_share(arm, start, np.array(followed), dt) <= 1.0
-    assert len(followed) <= 1.1 * len(timed.places) + 3
+    assert len(followed) <= 1.1 * len(timed.s) + 3
 
 
 def test_friction_leaves_less_to_the_motor() -> None:
