@@ -100,10 +100,8 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
         "kernels.path_relaxation.step_waypoints",
     ),
     "finders of a goal": (
-        "control.planner.damped_least_squares.find_positions_near",  # within a cycle
-        "control.planner.plan.find_goal",
-        "control.reach._Search",
-        "placement.points.fit_points",
+        "control.planner.goal.find_goal",  # near the state alone within a cycle
+        "control.reach._Search",  # many, of the tip
     ),
     "forms of Algorithm 1": ("placement.resolve.Walk",),  # by a kernel for modules with closed forms
     "chain descriptions": ("kernels.arrays.Joints",),

@@ -46,12 +46,14 @@ if TYPE_CHECKING:
         JointPath,
         JointPosture,
         Limits,
+        PointFilter,
         Projection,
         Selection,
         Step,
         Switching,
         Tangents,
         TimedPath,
+        fit_points,
         follow,
         plan,
         retime,
@@ -75,7 +77,7 @@ if TYPE_CHECKING:
     from pinposture.motion.identification import identify
     from pinposture.motion.touch import Touch
     from pinposture.motion.track import track
-    from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
+    from pinposture.placement import Target, resolve_targets
     from pinposture.task.find_path import find_path
     from pinposture.task.follow_leader import Leader, follow_leader, path_deviation
     from pinposture.task.keyframe import Keyframe
@@ -206,6 +208,7 @@ _PACKAGES = {
         "JointPath",
         "JointPosture",
         "Limits",
+        "PointFilter",
         "Projection",
         "ReachedPosture",
         "Selection",
@@ -216,6 +219,7 @@ _PACKAGES = {
         "TimedPath",
         "assess_hold",
         "assess_support",
+        "fit_points",
         "follow",
         "plan",
         "reach",
@@ -255,7 +259,7 @@ _PACKAGES = {
         "curve_around",
         "weigh",
     ),
-    "placement": ("PointFilter", "Target", "fit_points", "resolve_targets"),
+    "placement": ("Target", "resolve_targets"),
     "task": (
         "Carrying",
         "Grip",

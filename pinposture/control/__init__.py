@@ -4,6 +4,7 @@ from pinposture.control.constraint import Constraint
 from pinposture.control.controller import Controller, JointInterpolation, Memory, Step
 from pinposture.control.hold import Hold, Support, assess_hold, assess_support
 from pinposture.control.limits import Limits, StepBounds
+from pinposture.control.measured_points import PointFilter, fit_points
 from pinposture.control.planner.follow import GeodesicMemory, PathProgress, follow
 from pinposture.control.planner.geodesic import Geodesic
 from pinposture.control.planner.objective import Objective
@@ -36,6 +37,7 @@ __all__ = [
     "Objective",
     "ObstaclePotential",
     "PathProgress",
+    "PointFilter",
     "Projection",
     "ReachedPosture",
     "SectionSet",
@@ -54,6 +56,7 @@ __all__ = [
     "best_index",
     "candidate_sets",
     "controller_named",
+    "fit_points",
     "follow",
     "plan",
     "reach",

@@ -25,14 +25,13 @@ from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
-from pinposture.control.planner.damped_least_squares import Rating, damped_hessian, descend
+from pinposture.control.planner.damped_least_squares import POSTURE_SEARCH, Rating, damped_hessian, descend
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.control.torque_limits import TorqueLimits
 from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, raise_together
 from pinposture.placement import Target
-from pinposture.placement.points import POSTURE_SEARCH
 from pinposture.quadratic_program import solve
 from pinposture.units import CONVERGED, length_text
 

@@ -17,7 +17,8 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Geodesic, GeodesicMemory, Limits, PathProgress, Step
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.planner.geodesic import PromptGeodesic, adopt_plan, plan_from
-from pinposture.control.planner.plan import PlanNeeded, is_small_change
+from pinposture.control.planner.goal import PlanNeeded
+from pinposture.control.planner.plan import is_small_change
 from pinposture.motion.processes import BackgroundProcess, Interrupted, Shared
 from pinposture.placement import Target
 

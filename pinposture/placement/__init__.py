@@ -14,7 +14,6 @@ from pinposture.placement.module_kinematics import (
     Torus,
     curve_crossings,
 )
-from pinposture.placement.points import PointFilter, fit_points
 from pinposture.placement.resolve import resolve_targets
 from pinposture.placement.target import Target
 
@@ -24,12 +23,10 @@ __all__ = [
     "ModuleJoints",
     "ModuleKinematics",
     "NumericModule",
-    "PointFilter",
     "RollPitch",
     "Target",
     "Torus",
     "curve_crossings",
-    "fit_points",
     "register_module_kinematics",
     "resolve_targets",
     "unregister_module_kinematics",

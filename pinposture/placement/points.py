@@ -8,19 +8,18 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture._validation import float_array, require_instance, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import Kinematics
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
-from pinposture.kernels.arrays import ModuleSearch, PostureProblem, SearchSettings
+from pinposture.kernels.arrays import ModuleSearch
 from pinposture.placement.least_squares import fit_curve
 from pinposture.placement.module_kinematics import after_last_mover
 from pinposture.placement.target import Target
-from pinposture.units import length_text
+from pinposture.units import ROUNDING
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -53,57 +52,6 @@ class PointSearchSettings(NamedTuple):
 
 
 POINT_SEARCH = PointSearchSettings()
-
-
-class PointFitSettings(NamedTuple):
-    """Settings of `fit_points`; distances are in arm lengths."""
-
-    regularisation: float = 1e-8
-    """Weight of joint positions against distances [1/rad]; it resolves redundancy."""
-
-    taken: float = 1e-6
-    """Distance at which a point counts as reached."""
-
-    no_error: float = 1e-9
-    """Distance at which no further start is tried."""
-
-    restarts: int = 8
-    """Number of perturbed starts."""
-
-    restart_noise: float = 0.3
-    """Standard deviation of their perturbations, in `Arm.joint_units`."""
-
-
-POINT_FIT = PointFitSettings()
-
-
-POSTURE_SEARCH = SearchSettings(
-    good=0.0,
-    largest_step=0.5,
-    damping_share=0.5,
-    least_damping=1e-10,
-    least_stiffness=0.0,
-    decrease=0.3,
-    increase=4.0,
-    least_factor=1e-6,
-    most_factor=1e9,
-    converged=1e-6,
-    idle=3,
-    steps=300,
-)
-"""How least squares search for postures that take points; `good` and `least_stiffness` depend on the arm.
-
-Damping falls with the sum of squared errors (Sugihara 2011). `docs/design/branch_search.md` says what other
-steps and kinds of damping do.
-"""
-
-
-WEAK_MOTION = 0.3
-"""Noise-induced joint motion, in `Arm.joint_units`, at which a measurement gets half its weight. Along
-directions in which joints hardly move the points, noise would otherwise cause large joint motions."""
-
-MAX_SURPRISE = 0.5
-"""Mean distance of points from their prediction, in mean module lengths, at which a filter is reset."""
 
 
 def place_sequentially(
@@ -256,59 +204,6 @@ def _joint_samples(n: int) -> Array:
     return np.ascontiguousarray(np.column_stack(columns))
 
 
-def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
-    """Find the configuration that reaches given points, or comes closest to them within the limits.
-
-    Reachable points are placed module by module with a backtracking search, which the default controller also
-    uses. Other points, such as measured ones, are fitted by least squares, starting from the result of that
-    search, from a fit of the whole arm to a curve through the points, which winds in the right direction, and
-    from the straight arm. The result may be a local minimum.
-
-    Args:
-        arm: the arm.
-        points: one position per control point, (m, 3) [m], world frame.
-        weights: 1 to control a point, 0 to leave it free, (m,); all 1 if None.
-
-    Returns:
-        The target at those points, with the closest configuration `q` and the distances of its control points
-        as `residual`. `approximate` reports points that are not reached.
-
-    Raises:
-        InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
-    """
-    target = Target.from_points(arm, points, weights)
-    best = _closest_positions(arm, target)
-    residual = np.linalg.norm(_gaps(arm, target, best), axis=1)
-    farthest = int(np.argmax(np.where(target.has_target, residual, -1.0)))
-    approximate = ""
-    if residual[farthest] > POINT_FIT.taken * arm.length:
-        approximate = (
-            f"in the closest posture found, control point {farthest} is {length_text(residual[farthest])} "
-            "from its point; it may be a local minimum"
-        )
-    q = arm.nearest_turns(arm.configuration(best))
-    return replace(target, q=q, residual=residual, method="closest", approximate=approximate)
-
-
-def _closest_positions(arm: Arm, target: Target) -> Array:
-    """Return the joint positions (nv,) that come closest to a target, from several starts."""
-    straight = arm.positions(arm.straight())
-    rng = np.random.default_rng(0)
-    noise = np.where(arm.moved > 0.0, POINT_FIT.restart_noise * arm.joint_units, 0.0)
-    best = straight
-    least = np.inf
-    for guess in (*initial_guesses(arm, target, straight), straight, *[None] * POINT_FIT.restarts):
-        fitted = _fit(arm, target, best + noise * rng.normal(size=arm.nv) if guess is None else guess)
-        gaps = _gaps(arm, target, fitted)
-        cost = float(target.weights @ np.einsum("ij,ij->i", gaps, gaps))
-        if cost < least:
-            best = fitted
-            least = cost
-        if least <= (POINT_FIT.no_error * arm.length) ** 2:
-            break
-    return best
-
-
 def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
     """Yield joint positions from which to search for the configuration closest to a target.
 
@@ -322,170 +217,12 @@ def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
     """
     positions, complete = place_sequentially(arm, target.points, target.has_target, near)
     yield positions
-    if complete and np.abs(_gaps(arm, target, positions)).max() <= POINT_FIT.no_error * arm.length:
+    left = target.distances(arm.kinematics.forward(positions).points)[target.has_target]
+    if complete and left.max() <= ROUNDING * arm.length:
         return
     try:
         curve = Curve.points(np.vstack([arm.chain.base, target.points[target.has_target]]))
-        yield fit_curve(arm, curve, 0.0, POINT_FIT.regularisation * arm.length, rough=True)[0]
+        bending = 1e-8 * arm.length  # for joints that move no control point
+        yield fit_curve(arm, curve, 0.0, bending, rough=True)[0]
     except PostureError:  # the points form no curve, for instance because two coincide
         return
-
-
-def _gaps(arm: Arm, target: Target, positions: Array) -> Array:
-    """Return the vectors from the control points to their targets, (m, 3) [m]."""
-    return np.asarray(target.points - arm.kinematics.forward(positions).points)
-
-
-def _fit(arm: Arm, target: Target, start: Array) -> Array:
-    """Minimise the squared distances from a start, (nv,), by damped least squares within the limits."""
-    columns = arm.columns
-    indices = np.flatnonzero(target.has_target)
-    lower = arm.limits.lower[columns]
-    upper = arm.limits.upper[columns]
-    problem = PostureProblem(
-        chain=arm.kinematics.constants,
-        joints=np.arange(len(columns)),
-        units=arm.joint_units[columns],
-        position_limits=np.array([lower, upper]),
-        indices=indices,
-        ends=arm.kinematics.ends[indices],
-        targets=target.points[indices],
-        weights=target.weights[indices],
-        chords=np.zeros(len(indices)),
-        normal=np.zeros(3),
-    )
-    positions = np.array(start)
-    positions[columns] = np.clip(start[columns], lower, upper)
-    good = 1e-3 * POINT_FIT.no_error * arm.length / len(indices)
-    minimise_posture_errors(arm, problem, positions, good)
-    positions[columns] = np.clip(positions[columns], lower, upper)
-    return positions
-
-
-def minimise_posture_errors(
-    arm: Arm, problem: PostureProblem, positions: Array, good: float, steps: int = POSTURE_SEARCH.steps
-) -> tuple[float, float]:
-    """Minimise the squared errors of points and chords by damped least squares within limits.
-
-    Args:
-        arm: the arm.
-        problem: points, chords and limits.
-        positions: joint positions to start at, (nv,) [rad or m]; filled with the final ones.
-        good: mean error at which the search ends [m].
-        steps: largest number of steps.
-
-    Returns:
-        The sum of squares [m^2] and the mean error [m] at the end.
-    """
-    least_stiffness = 1e-12 * arm.length**2
-    settings = POSTURE_SEARCH._replace(good=good, least_stiffness=least_stiffness, steps=steps)
-    return kernels.minimise_posture_errors(problem, settings, positions)
-
-
-class PointFilter:
-    """Filter that turns noisy measured points, one set per cycle, into targets that the arm follows smoothly.
-
-        smooth = pp.PointFilter(arm, dt=0.01, noise=1e-3)
-        tracker.update(smooth.update(points))  # in every cycle
-
-    Noise of the points causes joint motions, which are larger the less the joints move the points: 0.08 rad
-    for 1 mm on links of 25 mm. The filter therefore estimates joint positions and velocities: it predicts
-    them from the last cycle and corrects them with the measurement. Along each right singular vector of the
-    points' Jacobian, the gains are those of the stationary Kalman filter for random acceleration and the
-    noise of the joint motion in that direction (Kalata's alpha-beta filter). Motion at constant joint speed
-    is followed without lag.
-
-    Args:
-        arm: the arm.
-        dt: duration of a cycle [s].
-        noise: standard deviation of a coordinate of a point [m].
-        acceleration: standard deviation of the joint acceleration, in `Arm.joint_units` per s^2. Lower values
-            give smoother motion, higher values a faster response.
-
-    Raises:
-        InvalidValue: a number is not positive.
-    """
-
-    def __init__(self, arm: Arm, dt: float, noise: float, acceleration: float = 3.0) -> None:
-        require_instance("arm", arm, Arm, "an Arm")
-        for name, value in (("dt", dt), ("noise", noise), ("acceleration", acceleration)):
-            require_positive(name, value)
-        self.arm = arm
-        self.dt = float(dt)
-        self.noise = float(noise)
-        self.acceleration = float(acceleration)
-        self.restart()
-
-    def restart(self) -> None:
-        """Discard all measurements."""
-        self._positions: Array | None = None
-        self._velocity = np.zeros(self.arm.nv)
-
-    def update(self, points: ArrayLike) -> Target:
-        """Return the target of a cycle.
-
-        Points that jump are fitted from scratch (`fit_points`), which can take longer than a cycle.
-
-        Args:
-            points: measured positions of the control points, (m, 3) [m], world frame; rows that are not
-                finite mark points not seen. A point not seen in the first measurement is free in that fit.
-
-        Returns:
-            The target at the estimated posture, with its configuration and velocity; at rest at the previous
-            posture if no point was seen.
-
-        Raises:
-            InvalidValue: wrong shape, or no point has been seen yet.
-        """
-        arm = self.arm
-        measured = float_array("points", points, (arm.n_modules, 3))
-        seen = np.asarray(np.isfinite(measured).all(axis=1))
-        measured = np.where(seen[:, None], measured, 0.0)
-        if self._positions is None or not self._correct(self._positions, measured, seen):
-            target = Target.from_points(arm, measured, seen.astype(np.float64))
-            self._positions = _closest_positions(arm, target)
-            self._velocity = np.zeros(arm.nv)
-        target = Target.from_configuration(arm, arm.configuration(self._positions))
-        return replace(target, velocity=self._velocity)
-
-    def _correct(self, positions: Array, measured: Array, seen: NDArray[np.bool_]) -> bool:
-        """Advance by a cycle; return whether the points are close to their prediction."""
-        arm = self.arm
-        columns = self.arm.columns
-        units = self.arm.joint_units[self.arm.columns]
-        lower = arm.limits.lower
-        upper = arm.limits.upper
-        if not seen.any():
-            self._velocity = np.zeros(arm.nv)
-            return True
-        foreseen = np.clip(positions + self.dt * self._velocity, lower, upper)
-        state = arm.at(arm.configuration(foreseen))
-        errors = (measured - state.points)[seen] @ arm.plane.T
-        if np.linalg.norm(errors, axis=1).mean() > MAX_SURPRISE * arm.length / arm.n_modules:
-            return False
-        jacobian = state.task_jacobians[seen].reshape(-1, arm.nv)[:, columns] * units
-        squares, directions = np.linalg.eigh(jacobian.T @ jacobian)
-        motions = directions.T @ (jacobian.T @ errors.ravel())
-        motions /= np.maximum(squares, 0.0) + (self.noise / WEAK_MOTION) ** 2
-        # Noise of the joint motion along a direction is that of the points divided by its singular value.
-        ratios = self.acceleration * self.dt**2 / self.noise * np.sqrt(np.maximum(squares, 0.0))
-        alpha, beta = stationary_gains(ratios)
-        corrected = foreseen.copy()
-        self._velocity = self._velocity.copy()
-        corrected[columns] += units * (directions @ (alpha * motions))
-        self._velocity[columns] += units * (directions @ (beta * motions)) / self.dt
-        self._positions = np.clip(corrected, lower, upper)
-        self._velocity[self._positions != corrected] = 0.0
-        return True
-
-
-def stationary_gains(ratio: Array) -> tuple[Array, Array]:
-    """Return the gains for position, and for velocity times the cycle, of a stationary Kalman filter.
-
-    Args:
-        ratio: change of position in a cycle due to random acceleration, a dt^2, relative to the noise of the
-            measured position (the tracking index of Kalata, 1984).
-    """
-    root = (4.0 + ratio - np.sqrt(ratio * (8.0 + ratio))) / 4.0
-    alpha = 1.0 - root**2
-    return alpha, 2.0 * (2.0 - alpha) - 4.0 * np.sqrt(1.0 - alpha)

@@ -10,8 +10,8 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
+from pinposture.control.measured_points import stationary_gains
 from pinposture.errors import InvalidValue
-from pinposture.placement.points import stationary_gains
 
 DT = 0.01
 NOISE = 1e-3

@@ -7,20 +7,41 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.control.limits import StepBounds
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH
-from pinposture.kernels.arrays import PostureProblem
-from pinposture.placement.points import POSTURE_SEARCH, minimise_posture_errors
+from pinposture.kernels.arrays import PostureProblem, SearchSettings
 from pinposture.quadratic_program import ConstraintRows, Solution, solve
 
 Array = NDArray[np.float64]
 
 
+POSTURE_SEARCH = SearchSettings(
+    good=0.0,
+    largest_step=0.5,
+    damping_share=0.5,
+    least_damping=1e-10,
+    least_stiffness=0.0,
+    decrease=0.3,
+    increase=4.0,
+    least_factor=1e-6,
+    most_factor=1e9,
+    converged=1e-6,
+    idle=3,
+    steps=300,
+)
+"""How least squares search for postures that take points; `good` and `least_stiffness` depend on the arm.
+
+Damping falls with the sum of squared errors (Sugihara 2011). `docs/design/branch_search.md` says what other
+steps and kinds of damping do.
+"""
+
+
 class DescentSettings(NamedTuple):
-    """What damped least squares need here; `placement.points.POSTURE_SEARCH` says how they are damped."""
+    """What damped least squares need besides; `POSTURE_SEARCH` says how they are damped."""
 
     search_step: float = 0.2
     """Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
@@ -453,10 +474,24 @@ def _minimize_alone(
     objective: Objective, state: ChainState, position_limits: Array, good: float, steps: int
 ) -> LeastSquaresResult:
     """Run `minimize` for points and chords in free space, in one compiled call."""
+    arm = objective.arm
+    chain = objective.chain
+    problem = PostureProblem(
+        chain=arm.kinematics.constants,
+        joints=chain.joints,
+        units=chain.units,
+        position_limits=np.ascontiguousarray(position_limits[:, objective.columns]),
+        indices=chain.has_target,
+        ends=chain.ends,
+        targets=chain.goals,
+        weights=chain.weights,
+        chords=chain.chords,
+        normal=chain.normal,
+    )
+    settings = POSTURE_SEARCH._replace(good=good, least_stiffness=1e-12 * arm.length**2, steps=steps)
     positions = state.raw_positions.copy()
-    squares, mean = _search(objective, positions, position_limits, good, steps)
-    goal = state.moved(positions - state.raw_positions)
-    return LeastSquaresResult(goal, 0.5 * squares, mean, 0.0)
+    squares, mean = kernels.minimise_posture_errors(problem, settings, positions)
+    return LeastSquaresResult(state.moved(positions - state.raw_positions), 0.5 * squares, mean, 0.0)
 
 
 def find_positions_near(objective: Objective, state: ChainState, position_limits: Array) -> Array | None:
@@ -477,31 +512,9 @@ def find_positions_near(objective: Objective, state: ChainState, position_limits
         return arm.difference(arm.origin, target.q) if len(objective.active) == arm.n_modules else None
     if objective.mean_error(state) > PATH.short_motion * arm.length:
         return None
-    positions = state.raw_positions.copy()
     good = OBJECTIVE.goal_tolerance * arm.length
-    _, mean = _search(objective, positions, position_limits, good, DESCENT.quick_steps)
-    return positions if mean <= good else None
-
-
-def _search(
-    objective: Objective, positions: Array, position_limits: Array, good: float, steps: int
-) -> tuple[float, float]:
-    """Search from joint positions, (nv,), in place; return the sum of squares and the mean error."""
-    arm = objective.arm
-    chain = objective.chain
-    problem = PostureProblem(
-        chain=arm.kinematics.constants,
-        joints=chain.joints,
-        units=chain.units,
-        position_limits=np.ascontiguousarray(position_limits[:, objective.columns]),
-        indices=chain.has_target,
-        ends=chain.ends,
-        targets=chain.goals,
-        weights=chain.weights,
-        chords=chain.chords,
-        normal=chain.normal,
-    )
-    return minimise_posture_errors(arm, problem, positions, good, steps)
+    found = _minimize_alone(objective, state, position_limits, good, DESCENT.quick_steps)
+    return found.state.raw_positions if found.mean_error <= good else None
 
 
 def damped_hessian(matrix: Array, damping: float) -> Array:

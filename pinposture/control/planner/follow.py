@@ -26,6 +26,7 @@ from pinposture.control.limits import (
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import (
     DESCENT,
+    POSTURE_SEARCH,
     StepConstraints,
     correct_curvature,
     damped_hessian,
@@ -43,9 +44,8 @@ from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL_TURN, NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
 from pinposture.placement import Target
-from pinposture.placement.points import POINT_FIT, POSTURE_SEARCH
 from pinposture.quadratic_program import Solution
-from pinposture.units import ROUNDING, length_text
+from pinposture.units import CONVERGED, ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -1036,7 +1036,7 @@ def _describe_end(objective: Objective, state: ChainState) -> str:
         left.append(f"{kind.__name__} by {length_text(error)}")
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""
     target = objective.target
-    missed = objective.mean_error(state) > POINT_FIT.taken * objective.arm.length
+    missed = objective.mean_error(state) > CONVERGED * objective.arm.length
     if missed and (target.q is None or target.approximate):
         words += "; no posture that takes all points was found; the closest one may be a local minimum"
     return f"no step within the limits reduces the errors further{words}"

@@ -33,13 +33,12 @@ from pinposture.control.planner.follow import (
     step_to_goal,
     stop_on_path,
 )
+from pinposture.control.planner.goal import PlanNeeded, known_goal
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
 from pinposture.control.planner.path import JointPath, TimedPath, timed_again
 from pinposture.control.planner.plan import (
-    PlanNeeded,
     find_path,
     is_small_change,
-    known_goal,
     repair,
     replan,
     short_path,

@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture import kernels
 from pinposture._validation import require_function, require_instance, require_positive
 from pinposture.arm import ArmState, ChainState
-from pinposture.arm.arm import nearest_turns
 from pinposture.collision import Closest, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control.constraint import Constraint
@@ -25,12 +23,10 @@ from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import (
     DESCENT,
-    LeastSquaresResult,
     PlanningProblem,
-    UnhinderedFit,
     minimize,
-    minimize_unhindered_first,
 )
+from pinposture.control.planner.goal import PlanNeeded, find_goal, known_goal
 from pinposture.control.planner.objective import OBJECTIVE, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import RELAXATION, TREES, FoundPath, PathSearch
@@ -43,25 +39,10 @@ from pinposture.control.planner.trajectory_optimization import (
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
-from pinposture.placement.points import initial_guesses, points_determine_joints
 
 logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
-
-
-class PlanNeeded(Exception):
-    """A step needs a path or a goal that takes too long to find in a control cycle.
-
-    Attributes:
-        attempt: number of paths to the same target that were abandoned before.
-        rest: what is left of the last one, as for `repair`; None: nothing.
-    """
-
-    def __init__(self, attempt: int = 0, rest: Array | None = None) -> None:
-        super().__init__(attempt)
-        self.attempt = attempt
-        self.rest = rest
 
 
 Report = Callable[[str, JointPath | None], None]
@@ -69,26 +50,10 @@ Report = Callable[[str, JointPath | None], None]
 
 
 class PlanSettings(NamedTuple):
-    """How many goals and paths a plan compares, and which it prefers."""
+    """How many paths a plan compares, and which it prefers."""
 
     turn_rounding: float = 1e-9
     """Joint displacement that is due to rounding [rad or m]."""
-
-    random_starts: int = 6
-    """Number of random starts of the search for a goal if no configuration is known."""
-
-    random_spread: float = 0.5
-    """Spread of these starts, in `Arm.joint_units`."""
-
-    agreeing: int = 3
-    """Number of consecutive searches that must agree to skip the rest."""
-
-    same_cost: float = 1e-3
-    """Relative difference of the costs of searches that agree."""
-
-    much_better: float = 0.5
-    """Share of the cost of an earlier goal below which a later one is preferred, if a task holds the
-    arm."""
 
     task_root: float = 0.4
     """Root of the weight of tasks on the path, relative to the motion of control points."""
@@ -407,128 +372,6 @@ def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath
     )
 
 
-# The goal configuration.
-
-
-def find_goal(
-    problem: PlanningProblem,
-    good: float,
-    before: ChainState | None = None,
-    enough: float = 0.0,
-    prompt: bool = False,
-) -> LeastSquaresResult:
-    """Find the configuration with the smallest cost.
-
-    If the target has a configuration, the search starts there. Otherwise it starts at the current state; then
-    at the configuration that takes the points module by module (`placement.points`), or the last state of
-    that search; then at the fit of the whole arm to the points, within the limits; then at random
-    configurations from a fixed seed. Those are also tried if the configuration of the target collides or
-    misses a task with priority. The current state comes second where the points leave modules only a few
-    solutions: the search takes the nearest ones, as least squares do, in far less time. The search ends at
-    the first result that is good enough, or when several consecutive ones agree, and returns the best. Among
-    obstacles alone, each search begins with a fit that disregards them.
-
-    Args:
-        problem: what is planned.
-        good: mean distance of the control points from their targets that is good enough [m].
-        before: first start if the target has no configuration: the goal of a similar target.
-        enough: mean distance that is good enough in view of the error for that target [m].
-        prompt: whether to raise `PlanNeeded` if the first search is not enough.
-    """
-    objective, state, _, avoidance = problem
-    known = objective.target.q is not None
-    has_priority = any(task.priority for task in objective.tasks)
-    # If a task with priority holds the arm, a distant goal may not be reachable: prefer one nearby.
-    held = _is_held(objective, state)
-    better = PLAN.much_better if held else 1.0
-    # An arm that violates the margin at the start may do so at the goal by as much.
-    allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
-    starts = _starts(problem, held, before)
-    fits: list[UnhinderedFit] = []
-
-    def search(start: ChainState) -> LeastSquaresResult:
-        if avoidance is None or objective.tasks or avoidance.constrained:
-            return minimize(problem, start, good, allowed)
-        return minimize_unhindered_first(problem, start, good, allowed, fits)
-
-    best = latest = search(next(starts))
-    good_enough = max(good, enough)
-    agreeing = 1
-    while agreeing < PLAN.agreeing and not (
-        latest.intrusion == 0.0
-        and (_is_good_enough(objective, latest, good_enough) or (known and not has_priority))
-    ):
-        if prompt:
-            raise PlanNeeded
-        start = next(starts, None)  # lazily, as computing one can take long
-        if start is None:
-            break
-        latest = search(start)
-        alike = latest.intrusion == best.intrusion == 0.0 and not objective.tasks
-        agreeing = agreeing + 1 if alike and abs(latest.cost - best.cost) <= PLAN.same_cost * best.cost else 1
-        if (latest.intrusion, latest.cost) < (best.intrusion, better * best.cost):
-            best = latest
-    return best
-
-
-def _is_good_enough(objective: Objective, result: LeastSquaresResult, good: float) -> bool:
-    """Whether a result takes the target posture and fulfils the tasks with priority."""
-    tasks = objective.task_rows(result.state, priority=True)
-    fulfilled = tasks is None or float(np.linalg.norm(tasks.errors)) <= good
-    return fulfilled and result.mean_error <= good
-
-
-def _is_held(objective: Objective, state: ChainState) -> bool:
-    """Whether tasks with priority hold the arm: their errors are within a module length."""
-    tasks = objective.task_rows(state, priority=True)
-    typical = objective.arm.length / objective.arm.n_modules
-    return tasks is not None and float(np.linalg.norm(tasks.errors)) <= typical
-
-
-def _starts(problem: PlanningProblem, held: bool, before: ChainState | None) -> Iterator[ChainState]:
-    objective = problem.objective
-    state = problem.start
-    arm = objective.arm
-    target = objective.target
-    if before is not None and target.q is None:
-        yield before
-    known = target.q is not None
-    guesses = iter(()) if known else initial_guesses(arm, target, arm.positions(state.q))
-    if not (known or before or objective.tasks) and points_determine_joints(arm, target.has_target):
-        yield _within_limits(problem, arm.configuration(next(guesses)))
-    if held:
-        yield state
-    if target.q is not None:
-        yield _within_limits(problem, target.q)
-    if not held:
-        yield state
-    for positions in guesses:
-        yield _within_limits(problem, arm.configuration(positions))
-    rng = np.random.default_rng(0)
-    for number in range(PLAN.random_starts):
-        origin = arm.straight() if number % 2 else state.q
-        change = objective.displacement(PLAN.random_spread * rng.normal(size=len(objective.columns)))
-        yield _within_limits(problem, arm.integrate(origin, change))
-
-
-def _within_limits(problem: PlanningProblem, q: Array) -> ChainState:
-    """Return the state at a configuration, clipped at the limits; joints that do not matter stay.
-
-    Multi-turn joints take the turn nearest to the current state.
-    """
-    objective, state, position_limits, _ = problem
-    arm = objective.arm
-    change = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, position_limits)))
-    here = arm.positions(state.q)
-    if not objective.tasks:  # joints beyond the last control point with a target need not move
-        last = int(np.flatnonzero(objective.target.has_target)[-1])
-        change = change * arm.support[last]
-    moved = np.zeros(arm.nv)
-    columns = objective.columns
-    moved[columns] = np.clip(here + change, position_limits[0], position_limits[1])[columns] - here[columns]
-    return state.moved(moved)
-
-
 # The path.
 
 
@@ -817,20 +660,6 @@ def _achievable_error(before: Objective, after: Objective, goal: ChainState) -> 
     moved = before.distance_to(after)
     small = PLAN.small_change * after.arm.length / after.arm.n_modules
     return PLAN.noise_factor * (left + moved) if moved <= max(left, small) else 0.0
-
-
-def known_goal(objective: Objective, position_limits: Array, before: Array) -> ChainState | None:
-    """Return the state at the configuration of a target, if it is within limits and takes the posture.
-
-    Multi-turn joints are within half a turn of a previous configuration.
-    """
-    arm = objective.arm
-    q = objective.target.q
-    if q is None or len(objective.active) < arm.n_modules:
-        return None
-    goal = ChainState(arm, nearest_turns(arm, q, before, position_limits))
-    inside = kernels.position_excess(goal.raw_positions, position_limits, arm.kinematics.columns) == 0.0
-    return goal if inside and objective.has_exact_goal else None
 
 
 def _size(objective: Objective, change: Array) -> float:

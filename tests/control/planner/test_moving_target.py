@@ -12,7 +12,7 @@ from sampling import seeds
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.control.planner import geodesic, plan
+from pinposture.control.planner import geodesic, goal
 from pinposture.control.planner.follow import PathProgress
 from pinposture.placement import Target
 
@@ -90,8 +90,8 @@ def test_points_that_cannot_be_had_do_not_start_the_search_anew_in_each_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked = []
-    original = plan.initial_guesses
-    monkeypatch.setattr(plan, "initial_guesses", lambda *given: asked.append(1) or original(*given))
+    original = goal.initial_guesses
+    monkeypatch.setattr(goal, "initial_guesses", lambda *given: asked.append(1) or original(*given))
     rng = np.random.default_rng(5)
     points = arm().at(postures(2, 1, 0.0)[0]).points
     targets = [Target.from_points(arm(), points + 1e-3 * rng.normal(size=points.shape)) for _ in range(150)]
