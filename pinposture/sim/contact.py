@@ -352,28 +352,30 @@ class ContactRecorder:
 
     def _touching(self, data: Any) -> dict[Pair, Touching]:
         """Return the pairs that touch; MuJoCo lists their points."""
-        touching: dict[Pair, Touching] = {}
-        wrench = np.zeros(6)
-        for k in range(data.ncon):
+        wrenches = np.zeros((data.ncon, 6))
+        for k, wrench in enumerate(wrenches):
             self._mujoco.mj_contactForce(self._model, data, k, wrench)
-            if wrench[0] <= 0.0:
-                continue
-            contact = data.contact[k]
-            axes = np.array(contact.frame).reshape(3, 3)  # the first leads from the first shape to the other
-            first, second = (int(shape) for shape in contact.geom)
-            speeds = [axes @ self._velocity(data, shape, contact.pos) for shape in (first, second)]
-            moved = speeds[1] - speeds[0]
-            force = -wrench[:3] @ axes
-            if self._ranks[first] > self._ranks[second]:
-                first, second = second, first
-                force = -force
-            pair = self._names[first], self._names[second]
-            touch = Touching(force, max(0.0, -float(moved[0])), float(np.hypot(moved[1], moved[2])))
+        pressed = np.flatnonzero(wrenches[:, 0] > 0.0)
+        points = data.contact.pos[pressed]
+        shapes = data.contact.geom[pressed]
+        # The first axis leads from the first shape to the other.
+        axes = data.contact.frame[pressed].reshape(-1, 3, 3)
+        forces = -np.einsum("ki,kij->kj", wrenches[pressed, :3], axes)
+        first, second = (self._velocities(data, shapes[:, side], points) for side in (0, 1))
+        moved = np.einsum("kij,kj->ki", axes, second - first)
+        closing = np.maximum(0.0, -moved[:, 0]).tolist()
+        sliding = np.hypot(moved[:, 1], moved[:, 2]).tolist()
+        touching: dict[Pair, Touching] = {}
+        for (one, other), force, *speeds in zip(shapes.tolist(), forces, closing, sliding, strict=True):
+            swapped = self._ranks[one] > self._ranks[other]
+            pair = self._names[other if swapped else one], self._names[one if swapped else other]
+            touch = Touching(-force if swapped else force, *speeds)
             touching[pair] = touching[pair].with_point(touch) if pair in touching else touch
         return touching
 
-    def _velocity(self, data: Any, shape: int, point: Array) -> Array:
-        """Return the velocity of a point of a shape, (3,) [m/s], world axes."""
-        body = int(self._model.geom_bodyid[shape])
-        lever = point - data.subtree_com[self._model.body_rootid[body]]
-        return np.asarray(data.cvel[body, 3:] + np.cross(data.cvel[body, :3], lever))
+    def _velocities(self, data: Any, shapes: NDArray[np.int32], points: Array) -> Array:
+        """Return the velocities of points of shapes, (k, 3) [m/s], world axes."""
+        bodies = self._model.geom_bodyid[shapes]
+        turning, moving = np.split(data.cvel[bodies], 2, axis=1)
+        levers = points - data.subtree_com[self._model.body_rootid[bodies]]
+        return np.asarray(moving + np.cross(turning, levers))

@@ -199,7 +199,9 @@ class Plant:
         compensation = self._compensation  # it counts towards the limits
         own_positions = state[0][: self._joints]
         spring = self.model.gains.springs(set_point - own_positions) + damping * speed
+        tried: set[tuple[float, ...]] = set()
         for trial in range(TRIALS):
+            tried.add(tuple(self._at_limit.tolist()))
             free = self._at_limit == 0.0
             limiting = self._at_limit * np.where(free, 0.0, limits)  # no infinity times 0
             self._integrate(
@@ -210,6 +212,8 @@ class Plant:
             if np.array_equal(saturated, self._at_limit) or not np.all(np.isfinite(requested)):
                 self._torques = np.where(free, requested, limiting)
                 return
+            if tuple(saturated.tolist()) in tried:  # the trials repeat themselves from here
+                break
             self._at_limit = saturated
         self._integrate(state, 0.0 * compensation, 0.0 * damping)
         driven = self._driven
