@@ -25,6 +25,20 @@ from pinposture.kernels.arrays import OTHERWISE, TorqueSamples
 Array = NDArray[np.float64]
 
 
+class StepLoads(NamedTuple):
+    """The largest torques of steps, relative to their limits.
+
+    Attributes:
+        moving: in the steps, and in the rest after them.
+        held_before: those that hold the arm still before the steps.
+        held: those that hold it still before, between or after them.
+    """
+
+    moving: float
+    held_before: float
+    held: float
+
+
 class Dynamics:
     """The joints of an arm, and the bodies that they carry.
 
@@ -103,31 +117,26 @@ class Dynamics:
         )
         return torques
 
-    def step_loads(self, start: Array, moves: Array, dt: float, effort: Array) -> tuple[Array, Array]:
-        """Compute the largest torque of steps relative to its limit where they meet, in motion and at rest.
+    def step_loads(self, start: Array, before: Array, steps: Array, dt: float, effort: Array) -> StepLoads:
+        """Compute the largest torques of steps relative to their limits, where they meet.
 
         Args:
-            start: joint positions between the first two steps, (nv,) [rad or m].
-            moves: the steps, (s + 1, nv) [rad or m].
+            start: joint positions before the steps, (nv,) [rad or m].
+            before: the step that led there, (nv,) [rad or m].
+            steps: the steps, (k, nv) [rad or m]; the arm rests after them.
             dt: duration of a step [s].
             effort: the limits of the torques, (nv,) [N m or N].
-
-        Returns:
-            The shares in motion and at rest, (s,) each.
         """
-        moving = np.empty(len(moves) - 1)
-        held = np.empty(len(moves) - 1)
-        kernels.step_loads(
+        shares = kernels.step_loads(
             self._indices,
             self._numbers,
             _plain(start),
-            _plain(moves),
+            _plain(before),
+            _plain(steps),
             dt,
             _plain(effort),
-            moving,
-            held,
         )
-        return moving, held
+        return StepLoads(*shares)
 
     def path_torques(
         self, start: Array, offsets: Array, slopes: Array, samples: int, dt: float

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ChainState, JointLoad
+from pinposture.arm.dynamics import StepLoads
 from pinposture.arm.weight import heaviest_load
 from pinposture.control.constraint import Inequalities
 from pinposture.control.limits import JointBounds, Limits, farthest, stopping_steps
@@ -54,14 +55,16 @@ class Stop(NamedTuple):
 
     Attributes:
         steps: the steps, (k, nv) [rad or m]; k = 0 if it stops at once.
-        share: largest torque in them and in the steps before, relative to its limit.
-        held: largest torque that holds the arm still before, between and after all of these, relative to its
-            limit, (s,); None if it is not known.
+        loads: the largest torques in them and in the steps before; None if they are not known.
     """
 
     steps: Array
-    share: float
-    held: Array | None = None
+    loads: StepLoads | None = None
+
+    @property
+    def share(self) -> float:
+        """Largest torque in motion, relative to its limit; 0 if it is not known."""
+        return 0.0 if self.loads is None else self.loads.moving
 
 
 class Overload(NamedTuple):
@@ -228,11 +231,9 @@ class StepTorques:
 
     def judged(self, steps: Array, first: int = 0) -> Stop:
         """Return steps (k, nv) that stop the arm with their torques; so many of them come before the stop."""
-        moves = np.zeros((len(steps) + 2, self._arm.nv))
-        moves[0] = self._previous
-        moves[1:-1] = steps
-        moving, held = self._arm.dynamics.step_loads(self._positions, moves, self._dt, self._effort)
-        return Stop(steps[first:], max(float(moving.max()), float(held[-1])), held)
+        dynamics = self._arm.dynamics
+        loads = dynamics.step_loads(self._positions, self._previous, steps, self._dt, self._effort)
+        return Stop(steps[first:], loads)
 
     def stop(self, dq: Array | None = None) -> Stop:
         """Find the steps that stop the arm on a straight line, if possible within torque limits.
@@ -247,16 +248,17 @@ class StepTorques:
         first = np.zeros((0, self._arm.nv)) if dq is None else dq[None]
         moving = self._previous if dq is None else dq
         start = self._positions if dq is None else self._positions + dq
-        best = Stop(np.zeros((0, self._arm.nv)), np.inf)
+        best: Stop | None = None
         for stop in (self._shortest_stop, self._even_stop, self._hardest_stop):
             steps = stop(start, moving)
-            if steps is None or (np.isfinite(best.share) and self._leaves_limits(start, moving, steps)):
+            if steps is None or (best is not None and self._leaves_limits(start, moving, steps)):
                 continue
             judged = self.judged(np.concatenate([first, steps]), len(first))
             if judged.share <= 1.0:
                 return judged
-            best = min(best, judged, key=lambda stop: stop.share)
-        return best
+            if best is None or judged.share < best.share:
+                best = judged
+        return cast(Stop, best)
 
     def _shortest_stop(self, start: Array, moving: Array) -> Array | None:
         """Return the steps of the shortest stop within limits of acceleration; None without these."""

@@ -561,12 +561,11 @@ def step_loads(
     indices: Ints1,
     numbers: Array1,
     start: Array1,
-    moves: Array2,
+    before: Array1,
+    steps: Array2,
     dt: float,
     effort: Array1,
-    moving: Array1,
-    held: Array1,
-) -> None:
+) -> Three:
     """Compute the largest torque of steps relative to its limit, where they meet, in motion and at rest.
 
     Those of a motion have the mean velocity of the two steps, and the acceleration from one to the other.
@@ -574,12 +573,15 @@ def step_loads(
     Args:
         indices: as for `inverse_dynamics`.
         numbers: likewise.
-        start: joint positions between the first two steps, (nv,).
-        moves: the steps, (s + 1, nv).
+        start: joint positions before the steps, (nv,).
+        before: the step that led there, (nv,).
+        steps: the steps, (k, nv); the arm rests after them.
         dt: duration of a step.
         effort: the limits of the torques, (nv,).
-        moving: filled with the largest share of a limit in the motion, (s,).
-        held: filled with that which holds the arm still there, (s,).
+
+    Returns:
+        The largest share of a limit in the motion and in the rest after it, that which holds the arm still
+        at the start, and the largest that holds it anywhere.
     """
     joints, bodies = unpack(indices, numbers)
     nv = len(start)
@@ -589,10 +591,16 @@ def step_loads(
     accelerations = np.empty((LANES, nv))
     torques = np.empty((LANES, nv))
     reached = start.copy()
-    for first in range(0, len(moving), LANES):
-        some = min(LANES, len(moving) - first)
+    last = len(steps)
+    moves = np.zeros((last + 2, nv))
+    moves[0] = before
+    moves[1 : last + 1] = steps
+    moving = np.empty(last + 1)
+    held = np.empty(last + 1)
+    for first in range(0, last + 1, LANES):
+        some = min(LANES, last + 1 - first)
         for w in range(LANES):
-            s = min(first + w, len(moving) - 1)
+            s = min(first + w, last)
             for j in range(nv):
                 if 0 < s == first + w:
                     reached[j] += moves[s, j]
@@ -611,6 +619,7 @@ def step_loads(
                 torques[w, j] += bodies.armature[j] * accelerations[w, j]
         unload_lanes(joints, ROW.torque, 0, LANES, rows, torques)
         largest_shares(torques, effort, some, first, moving)
+    return max(moving.max(), held[last]), held[0], held.max()
 
 
 @compiled

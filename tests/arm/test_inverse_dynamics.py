@@ -158,19 +158,29 @@ def test_torques_of_steps_are_those_of_their_mean_speed_where_they_meet(make) ->
     arm = make()
     rng = np.random.default_rng(8)
     start = arm.positions(arm.random(rng))
-    moves = rng.normal(scale=0.01, size=(12, arm.nv))
     dt = 0.1
     effort = rng.uniform(0.1, 2.0, arm.nv)
     effort[0] = np.inf  # not limited
-    moving, held = arm.dynamics.step_loads(start, moves, dt, effort)
     data = arm.model.createData()
-    for k in range(11):
-        q = arm.configuration(start + moves[1 : k + 1].sum(axis=0))
-        speed = (moves[k] + moves[k + 1]) / (2.0 * dt)
-        exact = pin.rnea(arm.model, data, q, speed, (moves[k + 1] - moves[k]) / dt**2)
-        np.testing.assert_allclose(moving[k], np.abs(exact / effort).max(), rtol=1e-12, atol=1e-10)
-        exact = pin.computeGeneralizedGravity(arm.model, data, q)
-        np.testing.assert_allclose(held[k], np.abs(exact / effort).max(), rtol=1e-12, atol=1e-10)
+
+    def share(torques: np.ndarray) -> float:
+        return float(np.abs(torques / effort).max())
+
+    for count in (0, 1, 6, 7, 8, 11):
+        before, *steps = rng.normal(scale=0.01, size=(count + 1, arm.nv))
+        loads = arm.dynamics.step_loads(start, before, np.reshape(steps, (count, arm.nv)), dt, effort)
+        moving = []
+        held = []
+        at = start
+        for one, other in zip([before, *steps], [*steps, np.zeros(arm.nv)], strict=True):
+            q = arm.configuration(at)
+            torques = pin.rnea(arm.model, data, q, (one + other) / (2.0 * dt), (other - one) / dt**2)
+            moving.append(share(torques))
+            held.append(share(pin.computeGeneralizedGravity(arm.model, data, q)))
+            at = at + other
+        np.testing.assert_allclose(loads.moving, max(*moving, held[-1]), rtol=1e-12, atol=1e-10)
+        np.testing.assert_allclose(loads.held_before, held[0], rtol=1e-12, atol=1e-10)
+        np.testing.assert_allclose(loads.held, max(held), rtol=1e-12, atol=1e-10)
 
 
 def test_torques_along_a_path_are_those_of_its_motion() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ChainState
+from pinposture.arm.dynamics import StepLoads
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.constraint import Inequalities, describe_violated, inequalities_of
@@ -457,12 +458,12 @@ class Avoidance:
         """
         known = self._stops
         if stopping is not None or known is None or known[0] is not state or not np.array_equal(known[1], dq):
-            stop = self._stop_after(state, dq) if stopping is None else Stop(stopping, 0.0)
+            stop = self._stop_after(state, dq) if stopping is None else Stop(stopping)
             least = self.margin - self._rounding
-            steps = np.vstack([dq, stop.steps])
+            steps = np.concatenate([dq[None], stop.steps])
             clear = stop.share <= 1.0 and self._lowest(state, steps, least) >= least
             if clear and self.constrained:
-                clear = not self._violates(state, steps, self.violation(state), stop.held)
+                clear = not self._violates(state, steps, self.violation(state), stop.loads)
             self._stops = known = state, dq, stop.steps if clear else None
         return known[2]
 
@@ -512,7 +513,7 @@ class Avoidance:
             clear_step = ClearStep(step, share, stop.steps, relaxed)
             steps = np.vstack([step, clear_step.stopping])
             distance = self._lowest(state, steps, least, until)
-            if self._violates(state, steps, accepted, stop.held):
+            if self._violates(state, steps, accepted, stop.loads):
                 continue
             if distance >= least:
                 return clear_step
@@ -550,12 +551,12 @@ class Avoidance:
         torques = None if self.torques is None else self.torques_at(state)
         if torques is not None and self.torques is not None:
             stop = torques.stop(dq)
-            if stop.held is not None:
-                self._held = state, self.torques.excess_of(float(stop.held[0]))
+            if stop.loads is not None:
+                self._held = state, self.torques.excess_of(stop.loads.held_before)
             return stop
         bounds = self._bounds
         rooms = bounds.position_limits - (state.raw_positions + dq)
-        return Stop(stopping_steps(rooms, dq, bounds.bound, bounds.brake), 0.0)
+        return Stop(stopping_steps(rooms, dq, bounds.bound, bounds.brake))
 
     def _brake_from(self, state: ChainState) -> Stop:
         """Return the steps that stop the arm at once, and their torques."""
@@ -564,10 +565,10 @@ class Avoidance:
         if torques is not None:
             return torques.stop() if known is None else torques.judged(known)
         if known is not None:
-            return Stop(known, 0.0)
+            return Stop(known)
         bounds = self._bounds
         rooms = bounds.position_limits - state.raw_positions
-        return Stop(stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), 0.0)
+        return Stop(stopping_steps(rooms, self._previous, bounds.bound, bounds.brake))
 
     def torques_at(self, state: ChainState) -> StepTorques | None:
         """Return the torques of steps at a state; None if they are not limited. The last ones are cached."""
@@ -592,28 +593,30 @@ class Avoidance:
             times[-1] = self._dt * max(len(path) - 1, until)
         return self.clearance.minimum_on_motions(state.q, path, below, times=times).distance
 
-    def _violation_in(self, state: ChainState, steps: Array, held: Array | None = None) -> float:
+    def _violation_in(self, state: ChainState, steps: Array, loads: StepLoads | None = None) -> float:
         """Return the largest violation of a constraint during steps (k, nv) [m]; as for `_violates`."""
         alone = None if self.constraints else self.torques
-        near = np.abs(steps).max(axis=0) <= AVOIDANCE.sampled_turn * self.objective.arm.joint_units
-        if held is not None and alone is not None and near.all():
-            return alone.excess_of(float(held.max()))
+        if loads is not None and alone is not None:
+            near = np.abs(steps) <= AVOIDANCE.sampled_turn * self.objective.arm.joint_units
+            if near.all():
+                return alone.excess_of(loads.held)
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
         return float(self._violations_along(state.q, path).max())
 
-    def _violates(self, state: ChainState, steps: Array, accepted: float, held: Array | None = None) -> bool:
+    def _violates(
+        self, state: ChainState, steps: Array, accepted: float, loads: StepLoads | None = None
+    ) -> bool:
         """Whether steps violate a constraint by more than is accepted, and than rounding.
 
         Args:
             state: the state of the arm before them.
             steps: the steps, (k, nv) [rad or m].
             accepted: the largest violation that is accepted [m].
-            held: largest torque that holds the arm still before, between and after them, relative to its
-                limit, (k + 1,), if it is known.
+            loads: the largest torques in them, if they are known.
         """
         if not self.constrained:
             return False
-        return self._violation_in(state, steps, held) > accepted + CONVERGED * self._length
+        return self._violation_in(state, steps, loads) > accepted + CONVERGED * self._length
 
     def describe_violations(self, state: ChainState) -> tuple[str, ...]:
         """Describe the pairs that violate the margin, and the constraints that are violated."""
