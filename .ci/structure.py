@@ -85,12 +85,11 @@ MECHANISMS: dict[str, tuple[str, ...]] = {
     ),
     "control loops": ("motion.loop.Loop",),
     "least-squares loops": (
-        "control.planner.damped_least_squares.descend",  # points, tasks, the tip and obstacles
+        "descent.descend",  # points on a curve; points, tasks, the tip and obstacles
         "control.planner.trajectory_optimization._PathRelaxation",  # all waypoints of a path
         "kernels.branch_search.correct",  # ends of a few modules
         "kernels.branch_search.minimise_posture_errors",  # points
         "kernels.path_relaxation.relax_waypoints",  # one waypoint after another
-        "placement.least_squares.FitProblem",  # points on a curve
     ),
     "box solvers": (
         "quadratic_program.solve",  # dense, with rows
@@ -118,6 +117,7 @@ ORDER = (
     ("document",),
     ("quadratic_program",),
     ("kernels",),
+    ("descent",),
     ("curve",),
     ("arm",),
     ("placement",),

@@ -1,7 +1,7 @@
 """Fits of whole arms to curves: how close they come, with half and twice of each setting, and with SciPy.
 
     python -m benchmarks.studies.curve_fits                  # 400 fits, 25 arms
-    python -m benchmarks.studies.curve_fits --arms panda ur5 --settings largest restarts
+    python -m benchmarks.studies.curve_fits --arms panda ur5 --settings largest_step restarts
     python -m benchmarks.studies.curve_fits --settings       # SciPy alone
 
 A fit counts as closer or farther if the root of its mean squared distance differs by more than a thousandth
@@ -44,9 +44,10 @@ SETTINGS = (
     "restarts",
     "straight_restarts",
     "restart_noise",
-    "most",
-    "largest",
-    "damping_ratio",
+    "steps",
+    "largest_step",
+    "decrease",
+    "increase",
 )
 """Settings of `CURVE_FIT` and `FIT_STEPS` that are varied."""
 
@@ -120,7 +121,7 @@ def scipy_steps(problem: Any, curve: Any, guess: Array, steps: int | None = None
         np.clip(guess, problem.lower, problem.upper),
         jac=lambda x: evaluate(x.tobytes())[1],
         bounds=(problem.lower, problem.upper),
-        ftol=problem.settled,
+        ftol=problem.converged,
         xtol=1e-12,
         gtol=1e-15,
         max_nfev=SCIPY_EVALUATIONS if steps is None else steps,

@@ -25,11 +25,12 @@ from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
-from pinposture.control.planner.damped_least_squares import POSTURE_SEARCH, Rating, damped_hessian, descend
+from pinposture.control.planner.damped_least_squares import POSTURE_SEARCH, damped_hessian
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
 from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.control.torque_limits import TorqueLimits
+from pinposture.descent import Rating, descend
 from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, raise_together
 from pinposture.placement import Target
 from pinposture.quadratic_program import solve
@@ -634,7 +635,7 @@ class _Search:
 
     def _settle(self, state: ChainState, clearance: float | None, iterations: int) -> ChainState:
         """Bring the tip to its goal and all distances to a clearance by damped least squares."""
-        return descend(_TipFit(self, clearance), state, iterations)[0]
+        return descend(_TipFit(self, clearance), state, iterations, POSTURE_SEARCH)[0]
 
     def _limited(self, x: Array, lower: Array, upper: Array) -> Array:
         """Return a step scaled to `SEARCH.max_joint_motion` and clipped at the limits."""

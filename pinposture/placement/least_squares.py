@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
+from pinposture.descent import Rating, descend
+from pinposture.kernels.arrays import SearchSettings
 from pinposture.placement.target import fitting_slides
 from pinposture.quadratic_program import solve
 
@@ -70,31 +72,26 @@ class CurveFitSettings(NamedTuple):
 CURVE_FIT = CurveFitSettings()
 
 
-class FitStepSettings(NamedTuple):
-    """Settings of `FitProblem.solve`, varied as those of `CurveFitSettings`."""
+FIT_STEPS = SearchSettings(
+    good=0.0,
+    largest_step=0.1,
+    damping_share=0.0,
+    least_damping=1e-11,
+    least_stiffness=1e-300,
+    decrease=0.1,
+    increase=10.0,
+    least_factor=1.0,
+    most_factor=1e15,
+    converged=1e-15,
+    idle=1,
+    steps=90,
+)
+"""Steps of `FitProblem.solve`, varied as the settings of `CurveFitSettings`.
 
-    most: int = 90
-    """Largest number of steps. With half, 2 fits end closer and 11 farther."""
-
-    largest: float = 0.1
-    """Largest change of an unknown in a step [rad, or arm lengths]. With half, 19 fits end closer and 15
-    farther, in 1.5 times the time; with twice, 10 and 20."""
-
-    still: float = 1e-7
-    """Step at which it ends [rad, or arm lengths]."""
-
-    damping: float = 1e-11
-    """Smallest damping, relative to `FitProblem.stiffness`."""
-
-    most_damping: float = 1e4
-    """Damping at which it ends. With 1, ten of 368 fits ended before the minimum, by up to 0.16 arm
-    lengths."""
-
-    damping_ratio: float = 10.0
-    """Factor of the damping after a worse step, and its inverse after a better one."""
-
-
-FIT_STEPS = FitStepSettings()
+The damping is in proportion to `FitProblem.stiffness` alone. With half of the largest step, 19 fits end
+closer and 15 farther, in 1.5 times the time, with twice, 10 and 20; with half as many steps, 2 and 11. With a
+factor of 1e11 at most, ten of 368 ended before the minimum, by up to 0.16 arm lengths.
+"""
 
 
 class SlidingFitSettings(NamedTuple):
@@ -120,6 +117,9 @@ class SlidingFitSettings(NamedTuple):
 
     on_joint: float = 1e-9
     """Length of a link that counts as zero, in arm lengths."""
+
+    converged: float = 1e-5
+    """Relative decrease of the sum of squares at which a fit ends."""
 
     slide_steps: int = 17
     """Number of postures in the search for slides that fit a length."""
@@ -330,11 +330,11 @@ class FitProblem:
         columns: tangent space indices of the joints, (n,).
         reach: length of the arm with its slides extended [m].
         exact: distance below which the fit needs no restart, in arm lengths.
-        settled: relative decrease of the sum of squares below which the fit ends.
+        converged: relative decrease of the sum of squares at which the fit ends.
     """
 
     exact = CURVE_FIT.exact
-    settled = 1e-15
+    converged = FIT_STEPS.converged
 
     def __init__(self, arm: Arm, start: float, bending: float, base: Array | None = None) -> None:
         self.reach = arm.length
@@ -426,7 +426,7 @@ class FitProblem:
         Args:
             curve: the curve.
             guess: initial unknowns, (n + m,).
-            steps: largest number of steps; `FIT_STEPS.most` if None.
+            steps: largest number of steps; `FIT_STEPS.steps` if None.
             before: unknowns to stay near, (n + m,); the guess if None.
             weight: weight of the squared distance from `before`.
             reach: largest deviation of joints from `before` [rad, or arm lengths].
@@ -436,44 +436,14 @@ class FitProblem:
         margin[: self._joints] = reach
         lower = np.maximum(self.lower, anchor - margin)
         upper = np.minimum(self.upper, anchor + margin)
-
-        def cost_of(x: Array, residual: Array) -> float:
-            return float(residual @ residual + weight * ((x - anchor) @ (x - anchor)))
-
-        x = np.clip(guess, lower, upper)
-        residual, jacobian = self.evaluate(curve, x)
-        cost = cost_of(x, residual)
-        damping = FIT_STEPS.damping
-        for _ in range(FIT_STEPS.most if steps is None else steps):
-            gradient = jacobian.T @ residual + weight * (x - anchor)
-            hessian = jacobian.T @ jacobian
-            hessian[np.diag_indices(len(x))] += weight + damping * self.stiffness(hessian)
-            least = np.maximum(lower - x, -FIT_STEPS.largest)
-            most = np.minimum(upper - x, FIT_STEPS.largest)
-            step = solve(hessian, gradient, least, most).x
-            if step is not None:
-                trial = np.clip(x + step, lower, upper)
-                trial_residual, trial_jacobian = self.evaluate(curve, trial)
-                trial_cost = cost_of(trial, trial_residual)
-            if step is None or trial_cost > cost:
-                damping *= FIT_STEPS.damping_ratio
-                if damping > FIT_STEPS.most_damping:
-                    break
-                continue
-            change = float(np.abs(trial - x).max())
-            decrease = cost - trial_cost
-            x = trial
-            cost = trial_cost
-            residual = trial_residual
-            jacobian = trial_jacobian
-            damping = max(damping / FIT_STEPS.damping_ratio, FIT_STEPS.damping)
-            if change <= FIT_STEPS.still or decrease < self.settled * cost:
-                break
-        return np.asarray(x)
+        near = _FitNear(self, curve, anchor, weight, lower, upper)
+        settings = FIT_STEPS._replace(converged=self.converged)
+        most = FIT_STEPS.steps if steps is None else steps
+        return descend(near, near.evaluated(np.clip(guess, lower, upper)), most, settings)[0].unknowns
 
     def stiffness(self, hessian: Array) -> float:
         """Return the mean of the diagonal entries of J^T J, (n + m, n + m), that belong to joints."""
-        return max(float(np.diag(hessian)[: self._joints].mean()), 1e-300)
+        return max(float(np.diag(hessian)[: self._joints].mean()), FIT_STEPS.least_stiffness)
 
     def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
         """Return the residuals (3 m + n,) and their Jacobian (3 m + n, n + m)."""
@@ -496,6 +466,46 @@ class FitProblem:
         return np.concatenate([distances, bends]), jacobian
 
 
+class _EvaluatedFit(NamedTuple):
+    """Unknowns (n + m,), and what `FitProblem.evaluate` returns for them."""
+
+    unknowns: Array
+    residual: Array
+    jacobian: Array
+
+
+class _FitNear(NamedTuple):
+    """The problem that `FitProblem.solve` hands to `descend`: a fit that stays near some unknowns."""
+
+    fit: FitProblem
+    curve: Samples | Curve
+    anchor: Array
+    weight: float
+    lower: Array
+    upper: Array
+
+    def evaluated(self, unknowns: Array) -> _EvaluatedFit:
+        return _EvaluatedFit(unknowns, *self.fit.evaluate(self.curve, unknowns))
+
+    def rate(self, state: _EvaluatedFit) -> Rating:
+        off = state.unknowns - self.anchor
+        return Rating(0.0, 0.5 * float(state.residual @ state.residual + self.weight * (off @ off)))
+
+    def is_solved(self, state: _EvaluatedFit, rating: Rating) -> bool:
+        return False
+
+    def step(self, state: _EvaluatedFit, damping: float) -> _EvaluatedFit | None:
+        x, residual, jacobian = state
+        gradient = jacobian.T @ residual + self.weight * (x - self.anchor)
+        hessian = jacobian.T @ jacobian
+        least = FIT_STEPS.least_damping * self.fit.stiffness(hessian)
+        hessian[np.diag_indices(len(x))] += self.weight + damping * least
+        lower = np.maximum(self.lower - x, -FIT_STEPS.largest_step)
+        upper = np.minimum(self.upper - x, FIT_STEPS.largest_step)
+        step = solve(hessian, gradient, lower, upper).x
+        return None if step is None else self.evaluated(np.clip(x + step, self.lower, self.upper))
+
+
 class SlidingFit(FitProblem):
     """The fit of an arm with slides. The lower rows count only as far as the upper ones leave a choice.
 
@@ -506,7 +516,7 @@ class SlidingFit(FitProblem):
     """
 
     exact = SLIDING_FIT.near
-    settled = 1e-5
+    converged = SLIDING_FIT.converged
 
     def __init__(
         self, arm: Arm, start: float, bending: float, base: Array, length: float, to_end: bool

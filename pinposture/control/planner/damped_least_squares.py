@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from pinposture.control.limits import StepBounds
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH
+from pinposture.descent import Rating, descend
 from pinposture.kernels.arrays import PostureProblem, SearchSettings
 from pinposture.quadratic_program import ConstraintRows, Solution, solve
 
@@ -335,7 +336,7 @@ def minimize(
     if problem.avoidance is None and not problem.objective.tasks:
         return _minimize_alone(problem.objective, state, problem.position_limits, good, steps)
     fit = _PostureFit(problem, good, allowed)
-    state, rating = descend(fit, state, steps)
+    state, rating = descend(fit, state, steps, POSTURE_SEARCH)
     return LeastSquaresResult(
         state, rating.cost, problem.objective.mean_error(state), rating.violation - allowed
     )
@@ -370,69 +371,6 @@ def minimize_unhindered_first(
         result = min(searches, key=lambda search: (search.intrusion, search.cost))
     known.append(UnhinderedFit(free.state, result))
     return result
-
-
-class Rating(NamedTuple):
-    """How far a state is from a solution. Of two states, that with the smaller violation is better.
-
-    Attributes:
-        violation: violation of constraints [m].
-        cost: half the sum of squared errors [m^2], which decides between equal violations.
-    """
-
-    violation: float
-    cost: float
-
-
-class LeastSquaresProblem(Protocol):
-    """A problem that `descend` solves."""
-
-    def rate(self, state: ChainState) -> Rating:
-        """Rate a state."""
-
-    def is_solved(self, state: ChainState, rating: Rating) -> bool:
-        """Whether a state is good enough to end the search."""
-
-    def step(self, state: ChainState, damping: float) -> ChainState | None:
-        """Return the state after a step that reduces the errors; None if there is none.
-
-        Args:
-            state: the state.
-            damping: factor of the damping, 1 at first.
-        """
-
-
-def descend(problem: LeastSquaresProblem, state: ChainState, steps: int) -> tuple[ChainState, Rating]:
-    """Improve a state by damped steps, until it is good enough or steps no longer improve it.
-
-    The damping falls after a step that improves the state. Any other is undone, and the damping rises.
-
-    Args:
-        problem: what is solved.
-        state: the initial state.
-        steps: largest number of steps.
-    """
-    rating = problem.rate(state)
-    damping = 1.0
-    idle = 0
-    for _ in range(steps):
-        if problem.is_solved(state, rating):
-            break
-        tried = problem.step(state, damping)
-        tried_rating = None if tried is None else problem.rate(tried)
-        if tried is not None and tried_rating is not None and tried_rating < rating:
-            closer = tried_rating.violation < rating.violation
-            cheaper = tried_rating.cost <= (1.0 - POSTURE_SEARCH.converged) * rating.cost
-            idle = 0 if closer or cheaper else idle + 1
-            state = tried
-            rating = tried_rating
-            damping = max(damping * POSTURE_SEARCH.decrease, POSTURE_SEARCH.least_factor)
-        else:
-            damping *= POSTURE_SEARCH.increase
-            idle += damping > POSTURE_SEARCH.most_factor
-        if idle >= POSTURE_SEARCH.idle:
-            break
-    return state, rating
 
 
 class _PostureFit(NamedTuple):
