@@ -42,8 +42,8 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 227,  # 170
-    "definitions": 5382,
+    "files": 228,  # 170
+    "definitions": 5386,
     "constants": 626,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
@@ -56,7 +56,7 @@ CEILINGS = {
     "subtractions from a target": 1,  # 1
     "codecs": 7,  # 6
     "control loops": 1,  # 1
-    "least-squares loops": 6,  # 3
+    "least-squares loops": 5,  # 3
     "box solvers": 5,  # 2
     "finders of a goal": 2,  # 1
     "forms of Algorithm 1": 1,  # 1
