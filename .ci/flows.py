@@ -11,6 +11,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -239,12 +240,18 @@ def load_a_task(trace: Any) -> None:
 
 def perform_a_task(trace: Any) -> None:
     """The example is performed, once its motion is planned."""
+    task, reference = planned_task()
+    with trace:
+        trace.cycles = len(task.perform(reference).run.q)
+
+
+@cache
+def planned_task() -> Any:
+    """The example and its motion, which takes longer to plan than to perform."""
     from pinposture.task import Task
 
     task = Task.load(TASK)
-    reference = task.reference()
-    with trace:
-        trace.cycles = len(task.perform(reference).run.q)
+    return task, task.reference()
 
 
 def run_a_task(trace: Any) -> None:

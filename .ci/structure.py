@@ -69,7 +69,7 @@ CEILINGS = {
     "calls of the second step": 40,  # 50
     "calls of the second step in a scene": 78,  # 80
     "calls of Task.load": 2086,  # 2500
-    "calls of a cycle of perform": 109,  # 80
+    "calls of a cycle of perform": 92,  # 80
 }
 """The most that there may be of each."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from pinposture.editor.solver import Solver
 from pinposture.errors import PostureWarning
 from pinposture.motion import Trajectory
 from pinposture.task import Task
+from pinposture.task.reference import Reference
 
 TASKS = Path(__file__).parents[2] / "examples" / "tasks"
 SAME = 1e-6
@@ -65,23 +67,32 @@ class Bench:
         return self.solver.live.state.q
 
 
+def run_by_command(path: Path, out: Path) -> tuple[Trajectory, Reference]:
+    """The motion that the command line makes of a task file, and how it planned that."""
+    planned: list[Reference] = []
+    plan = Task.reference
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            Task, "reference", lambda task, *given: planned.append(plan(task, *given)) or planned[0]
+        )
+        ended = CliRunner().invoke(app, ["run", str(path), "-o", str(out)])
+    assert ended.exit_code == 0, ended.output
+    (reference,) = planned
+    return pp.load(out / "motion.npz", Trajectory), reference
+
+
 def assert_same(bench: Bench, folder: Path, *keyframes: int) -> None:
     """The arm at keyframes: of the moment, opened again, played, and as the command line runs the file."""
     path = folder / "saved.toml"
-    out = folder / "out"
     edited = bench.session.task
     edited.save(path)
-    loaded = Task.load(path)
-    opened = Bench(loaded, path)
+    opened = Bench(Task.load(path), path)
     played = edited.perform()
-    ended = CliRunner().invoke(app, ["run", str(path), "-o", str(out)])
-    assert ended.exit_code == 0, ended.output
-    ran = pp.load(out / "motion.npz", Trajectory)
+    ran, planned = run_by_command(path, folder / "out")
     assert np.array_equal(ran.q, played.q)
-    waypoints = loaded.reference().waypoints
     for keyframe in keyframes:
         live = bench.seen(keyframe)
-        for other in (opened.seen(keyframe), waypoints[keyframe].target.q):
+        for other in (opened.seen(keyframe), planned.waypoints[keyframe].target.q):
             assert np.abs(edited.arm.difference(live, other)).max() <= SAME
         away = np.abs([edited.arm.difference(live, q) for q in ran.q]).max(axis=1)
         assert away.min() <= SAME
