@@ -40,7 +40,7 @@ class MapSettings(NamedTuple):
 
     max_cells: int = 2**28
     """Largest number of cells of a grid. Memory is used only for blocks that rays have reached: 4 kB
-    each."""
+    each, and a bit for each cell."""
 
     reach: float = 1.2
     """Distance from the base up to which a map reaches, in lengths of the arm: what is farther away cannot
@@ -222,6 +222,7 @@ class Map:
             blocks=blocks,
             evidence=np.zeros(count, dtype=np.float32),
             marks=np.zeros(count, dtype=np.int32),
+            bits=np.zeros(count // 64, dtype=np.uint64),
             used=np.zeros(blocks**3, dtype=np.int8),
         )
 

@@ -22,6 +22,7 @@ Flags2 = Annotated[NDArray[np.bool_], 2]
 Bytes1 = Annotated[NDArray[np.int8], 1]
 Singles1 = Annotated[NDArray[np.float32], 1]
 Halves1 = Annotated[NDArray[np.int32], 1]
+Words1 = Annotated[NDArray[np.uint64], 1]
 """C-contiguous arrays by number of dimensions: the types for which `kernels.compiled` compiles."""
 
 FULL_TURN = 2.0 * np.pi
@@ -598,6 +599,7 @@ class OccupancyGrid(NamedTuple):
         evidence: of each cell, block by block, (n**3 * 512,): above 0 for something seen there, times the
             scale at that time; -1 for free; 0 for unknown.
         marks: what a cell has been in the last picture that covered it, (n**3 * 512,).
+        bits: a bit for each cell, (n**3 * 8,); all are 0 while no kernel runs.
         used: whether a block has cells that are not unknown, (n**3,).
     """
 
@@ -606,6 +608,7 @@ class OccupancyGrid(NamedTuple):
     blocks: int
     evidence: Singles1
     marks: Halves1
+    bits: Words1
     used: Bytes1
 
 

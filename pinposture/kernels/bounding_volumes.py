@@ -44,7 +44,8 @@ def build_tree(corners: Array3, order: Ints1, boxes: Array3) -> None:
             (2**levels, 2, 3), with at most n nodes in the last level; the first entry is unused.
     """
     n = len(corners)
-    middles = np.zeros((n, 3))
+    points = corners.shape[1] == 1
+    middles = np.zeros((n, 3))  # sorted with the order, so that neighbours are read one after the other
     for k in range(n):
         for corner in range(corners.shape[1]):
             for i in range(3):
@@ -59,14 +60,16 @@ def build_tree(corners: Array3, order: Ints1, boxes: Array3) -> None:
         end = (node - first + 1) * n >> level
         low = boxes[node, 0]
         high = boxes[node, 1]
-        low[:] = np.inf
-        high[:] = -np.inf
-        for at in range(begin, end):
-            for corner in range(corners.shape[1]):
-                for i in range(3):
-                    value = corners[order[at], corner, i]
-                    low[i] = min(low[i], value)
-                    high[i] = max(high[i], value)
+        for i in range(3):
+            least = np.inf
+            most = -np.inf
+            for at in range(begin, end):
+                for corner in range(corners.shape[1]):
+                    value = middles[at, i] if points else corners[order[at], corner, i]
+                    least = min(least, value)
+                    most = max(most, value)
+            low[i] = least
+            high[i] = most
         if 2 * node < len(boxes):
             axis = int(np.argmax(high - low))
             _split(order, middles, axis, begin, (2 * (node - first) + 1) * n >> (level + 1), end)
@@ -74,19 +77,21 @@ def build_tree(corners: Array3, order: Ints1, boxes: Array3) -> None:
 
 @subkernel
 def _split(order: Ints1, middles: Array2, axis: int, begin: int, middle: int, end: int) -> None:
-    """Partition a part of the order so that entries from `middle` on are not below those before it."""
+    """Partition a part of the order, and of middles, so that those from `middle` on are not below others."""
     end -= 1
     while begin < end:
-        pivot = middles[order[(begin + end) // 2], axis]
+        pivot = middles[(begin + end) // 2, axis]
         left = begin
         right = end
         while left <= right:
-            while middles[order[left], axis] < pivot:
+            while middles[left, axis] < pivot:
                 left += 1
-            while middles[order[right], axis] > pivot:
+            while middles[right, axis] > pivot:
                 right -= 1
             if left <= right:
                 order[left], order[right] = order[right], order[left]
+                for i in range(3):
+                    middles[left, i], middles[right, i] = middles[right, i], middles[left, i]
                 left = left + 1
                 right = right - 1
         if middle <= right:

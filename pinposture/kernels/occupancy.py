@@ -7,7 +7,9 @@ there is always occupied. Evidence is stored times a scale that grows with time,
 through the grid: the threshold grows instead.
 
 Cells are stored block by block, so that neighbours in space are near each other in memory, and memory of
-blocks that no ray has reached is never touched.
+blocks that no ray has reached is never touched. Many rays pass through the same cell, nine on average if they
+end on a wall. Each sets its bit, and the bits of a block are one line of a cache; evidence is taken once,
+afterwards.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Ints1, OccupancyGrid, Three
+from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, OccupancyGrid, Singles1, Three, Words1
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 
@@ -49,16 +51,19 @@ class RayMarks(NamedTuple):
     ended: int = 0
     """A ray that met no surface ends there."""
 
-    passed: int = 1
-    """One passes through."""
-
-    hit: int = 2
+    hit: int = 1
     """One ends on a surface."""
 
-    kinds: int = 3
+    kinds: int = 2
 
 
 MARKS = RayMarks()
+
+LOWEST = np.uint64(0x0101010101010101)
+"""The bits of the cells at z = 0 in a layer of a block."""
+
+HIGHEST = np.uint64(0x8080808080808080)
+"""Those at z = 7."""
 
 
 @compiled
@@ -253,13 +258,28 @@ def cast_rays(
         rays[count, 3] = 1.0 if ends else 0.0
         count += 1
     for k in range(count if passes else 0):
-        _follow(grid, base, scale, begin, (rays[k, 0], rays[k, 1], rays[k, 2]), rays[k, 3] > 0.0)
+        _follow(grid, begin, (rays[k, 0], rays[k, 1], rays[k, 2]), rays[k, 3] > 0.0)
+    if passes:
+        _take_passed(grid, base + MARKS.hit, scale)
     return own
 
 
+@inlined
+def _index_part(blocks: int, axis: int, coordinate: int) -> int:
+    """Return what a coordinate of a cell adds to its index; see `_cell_index`."""
+    stride = blocks * blocks if axis == 0 else (blocks if axis == 1 else 1)
+    return (coordinate >> 3) * stride * OCCUPANCY.cells + ((coordinate & 7) << (6 - 3 * axis))
+
+
+@inlined
+def _set_bit(bits: Words1, at: int) -> None:
+    """Set the bit of a cell."""
+    bits[at >> 6] |= np.uint64(1) << np.uint64(at & 63)
+
+
 @subkernel
-def _follow(grid: OccupancyGrid, base: int, scale: float, begin: Three, way: Three, ends: bool) -> None:
-    """Pass through the cells of a ray, but for the one in which it ends on a surface."""
+def _follow(grid: OccupancyGrid, begin: Three, way: Three, ends: bool) -> None:
+    """Set the bits of the cells of a ray, but for the one in which it ends on a surface."""
     n = grid.blocks
     size = OCCUPANCY.edge * n
     first, _ = _clip(begin, way, float(size))
@@ -276,38 +296,53 @@ def _follow(grid: OccupancyGrid, base: int, scale: float, begin: Three, way: Thr
     tx = (x + (1 if sx > 0 else 0) - begin[0]) / way[0] if way[0] != 0.0 else np.inf
     ty = (y + (1 if sy > 0 else 0) - begin[1]) / way[1] if way[1] != 0.0 else np.inf
     tz = (z + (1 if sz > 0 else 0) - begin[2]) / way[2] if way[2] != 0.0 else np.inf
-    while True:
-        leaves = min(tx, ty, tz)
-        if ends and leaves >= 1.0:
-            return
-        at = _cell_index(n, x, y, z)
-        if at < 0:
-            return
-        if grid.marks[at] < base + MARKS.passed:
-            grid.marks[at] = base + MARKS.passed
-            _pass(grid, at, scale)
-        if leaves >= 1.0:
-            return
+    part_x = _index_part(n, 0, x)
+    part_y = _index_part(n, 1, y)
+    part_z = _index_part(n, 2, z)
+    while min(tx, ty, tz) < 1.0:
+        _set_bit(grid.bits, part_x + part_y + part_z)
         if tx <= ty and tx <= tz:
             x += sx
             tx += dx
+            if x < 0 or x >= size:
+                return
+            part_x = _index_part(n, 0, x)
         elif ty <= tz:
             y += sy
             ty += dy
+            if y < 0 or y >= size:
+                return
+            part_y = _index_part(n, 1, y)
         else:
             z += sz
             tz += dz
+            if z < 0 or z >= size:
+                return
+            part_z = _index_part(n, 2, z)
+    if not ends:
+        _set_bit(grid.bits, part_x + part_y + part_z)
 
 
-@inlined
-def _pass(grid: OccupancyGrid, at: int, scale: float) -> None:
-    """Take from a cell the evidence of one picture."""
-    left = grid.evidence[at] / scale - 1.0
-    if left > OCCUPANCY.occupied:
-        grid.evidence[at] = left * scale
-    else:
-        grid.evidence[at] = OCCUPANCY.free
-        grid.used[at // OCCUPANCY.cells] = 1
+@subkernel
+def _take_passed(grid: OccupancyGrid, hit: int, scale: float) -> None:
+    """Take from cells whose bits are set the evidence of one picture, if no ray ended there; clear the bits.
+
+    Args:
+        grid: the grid.
+        hit: mark of cells in which a ray ended on a surface.
+        scale: the scale of evidence.
+    """
+    for word in range(len(grid.bits)):
+        bits = grid.bits[word]
+        if bits == 0:
+            continue
+        grid.bits[word] = 0
+        grid.used[word // (OCCUPANCY.cells // 64)] = 1
+        for inner in range(64):
+            at = 64 * word + inner
+            if (bits >> np.uint64(inner)) & np.uint64(1) and grid.marks[at] != hit:
+                left = grid.evidence[at] / scale - 1.0
+                grid.evidence[at] = left * scale if left > OCCUPANCY.occupied else OCCUPANCY.free
 
 
 @compiled
@@ -380,23 +415,53 @@ def read_cells(grid: OccupancyGrid, scale: float, points: Array2, states: Ints1)
             states[k] = 1 if evidence > OCCUPANCY.occupied * scale else (-1 if evidence < 0.0 else 0)
 
 
+@inlined
+def _word(grid: OccupancyGrid, block: tuple[int, int, int], x: int) -> np.uint64:
+    """Return the bits of the layer x of a block, given by its coordinates; 0 outside the grid."""
+    n = grid.blocks
+    i, j, k = block
+    if i < 0 or j < 0 or k < 0 or i >= n or j >= n or k >= n:
+        return np.uint64(0)
+    return grid.bits[((i * n + j) * n + k) * OCCUPANCY.edge + x]
+
+
 @subkernel
-def _is_enclosed(full: Flags1, blocks: int, block: int) -> bool:
-    """Return whether all blocks beside one are full."""
-    x = block // (blocks * blocks)
-    y = block // blocks % blocks
-    z = block % blocks
-    last = blocks - 1
-    if min(x, y, z) == 0 or max(x, y, z) == last:
-        return False
-    return bool(
-        full[block - blocks * blocks]
-        and full[block + blocks * blocks]
-        and full[block - blocks]
-        and full[block + blocks]
-        and full[block - 1]
-        and full[block + 1]
-    )
+def _bare(grid: OccupancyGrid, block: tuple[int, int, int], x: int) -> np.uint64:
+    """Return which cells of the layer x of a block have bits, and a neighbour without one.
+
+    The bit of a cell at y and z is that of 8 y + z.
+    """
+    i, j, k = block
+    bits = _word(grid, block, x)
+    last = OCCUPANCY.edge - 1
+    around = _word(grid, block, x - 1) if x > 0 else _word(grid, (i - 1, j, k), last)
+    around &= _word(grid, block, x + 1) if x < last else _word(grid, (i + 1, j, k), 0)
+    around &= (bits << np.uint64(8)) | (_word(grid, (i, j - 1, k), x) >> np.uint64(56))
+    around &= (bits >> np.uint64(8)) | (_word(grid, (i, j + 1, k), x) << np.uint64(56))
+    low = (_word(grid, (i, j, k - 1), x) >> np.uint64(7)) & LOWEST
+    around &= ((bits << np.uint64(1)) & ~LOWEST) | low
+    high = (_word(grid, (i, j, k + 1), x) << np.uint64(7)) & HIGHEST
+    around &= ((bits >> np.uint64(1)) & ~HIGHEST) | high
+    return bits & ~around
+
+
+@subkernel
+def _bits_above(evidence: Singles1, begin: int, sign: float, least: float) -> np.uint64:
+    """Return which of 64 cells, from an index on, have more evidence than the least, times a sign."""
+    bits = np.uint64(0)
+    for inner in range(64):
+        bits |= np.uint64(sign * evidence[begin + inner] > least) << np.uint64(inner)
+    return bits
+
+
+@inlined
+def _keep_center(grid: OccupancyGrid, x: int, y: int, z: int, found: int, centers: Array2) -> int:
+    """Store the centre of a cell, if there is room, and return how many were found with it."""
+    if found < len(centers):
+        centers[found, 0] = grid.corner[0] + (x + 0.5) * grid.resolution
+        centers[found, 1] = grid.corner[1] + (y + 0.5) * grid.resolution
+        centers[found, 2] = grid.corner[2] + (z + 0.5) * grid.resolution
+    return found + 1
 
 
 @compiled
@@ -415,55 +480,39 @@ def find_surface(grid: OccupancyGrid, picture: int, scale: float, forbidden: boo
     """
     n = grid.blocks
     found = 0
-    least = OCCUPANCY.occupied * scale
+    sign = -1.0 if forbidden else 1.0
+    least = 0.0 if forbidden else OCCUPANCY.occupied * scale
     base = MARKS.kinds * picture
-    full = np.zeros(len(grid.used), dtype=np.bool_)
-    mixed = np.zeros(len(grid.used), dtype=np.bool_)
     for block in range(len(grid.used)):
-        if grid.used[block]:
-            count = 0
-            for at in range(block * OCCUPANCY.cells, (block + 1) * OCCUPANCY.cells):
-                count += int(grid.evidence[at] < 0.0) if forbidden else int(grid.evidence[at] > least)
-            full[block] = count == OCCUPANCY.cells
-            mixed[block] = count > 0
+        for word in range(OCCUPANCY.edge * block, OCCUPANCY.edge * (block + 1) if grid.used[block] else 0):
+            grid.bits[word] = _bits_above(grid.evidence, 64 * word, sign, least)
     for block in range(len(grid.used)):
-        if not mixed[block] or (full[block] and _is_enclosed(full, n, block)):
+        if not grid.used[block]:
             continue
-        bx = block // (n * n) * OCCUPANCY.edge
-        by = block // n % n * OCCUPANCY.edge
-        bz = block % n * OCCUPANCY.edge
-        for inner in range(OCCUPANCY.cells):
-            at = block * OCCUPANCY.cells + inner
-            evidence = grid.evidence[at]
-            if (evidence >= 0.0) if forbidden else (evidence <= least):
-                continue
-            x = bx + (inner >> 6)
-            y = by + ((inner >> 3) & 7)
-            z = bz + (inner & 7)
-            for side in range(6):
-                step = 1 if side & 1 else -1
-                axis = side >> 1
-                i = x + (step if axis == 0 else 0)
-                j = y + (step if axis == 1 else 0)
-                k = z + (step if axis == 2 else 0)
-                beside = _cell_index(n, i, j, k)
-                if forbidden:
-                    # From a free cell to its neighbours that are not.
+        place = (block // (n * n), block // n % n, block % n)
+        for layer in range(OCCUPANCY.edge):
+            bare = _bare(grid, place, layer)
+            x = OCCUPANCY.edge * place[0] + layer
+            for inner in range(64 if bare else 0):
+                if not (bare >> np.uint64(inner)) & np.uint64(1):
+                    continue
+                y = OCCUPANCY.edge * place[1] + (inner >> 3)
+                z = OCCUPANCY.edge * place[2] + (inner & 7)
+                if not forbidden:
+                    found = _keep_center(grid, x, y, z, found, centers)
+                    continue
+                for side in range(6):
+                    step = 1 if side & 1 else -1
+                    i = x + (step if side >> 1 == 0 else 0)
+                    j = y + (step if side >> 1 == 1 else 0)
+                    k = z + (step if side >> 1 == 2 else 0)
+                    beside = _cell_index(n, i, j, k)
                     if beside >= 0:
                         if grid.evidence[beside] < 0.0 or grid.marks[beside] >= base:
                             continue
                         grid.marks[beside] = base
-                elif beside >= 0 and grid.evidence[beside] > least:
-                    continue
-                else:
-                    i = x
-                    j = y
-                    k = z
-                if found < len(centers):
-                    centers[found, 0] = grid.corner[0] + (i + 0.5) * grid.resolution
-                    centers[found, 1] = grid.corner[1] + (j + 0.5) * grid.resolution
-                    centers[found, 2] = grid.corner[2] + (k + 0.5) * grid.resolution
-                found += 1
-                if not forbidden:
-                    break
+                    found = _keep_center(grid, i, j, k, found, centers)
+    for block in range(len(grid.used)):
+        if grid.used[block]:
+            grid.bits[OCCUPANCY.edge * block : OCCUPANCY.edge * (block + 1)] = 0
     return found
