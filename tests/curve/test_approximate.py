@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nearest import distances_to_nearest
 from sampling import cases, examples
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
@@ -42,8 +43,7 @@ def apart(one: Curve, other: Curve, samples: int = 3000) -> float:
     """The largest distance between two curves, each point of one to all of many points of the other."""
     a = one.resample(samples)
     b = other.resample(samples)
-    gaps = np.linalg.norm(a[:, None] - b[None], axis=2)
-    return float(max(gaps.min(axis=0).max(), gaps.min(axis=1).max()))
+    return float(max(distances_to_nearest(a, b).max(), distances_to_nearest(b, a).max()))
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])

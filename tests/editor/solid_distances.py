@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from nearest import distances_to_nearest
 from scipy.spatial import ConvexHull
 
 import pinposture as pp
@@ -25,7 +26,7 @@ def signed_distance(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
         return (local @ planes[:, :3].T + planes[:, 3]).max(axis=1)
     if isinstance(obstacle, pp.Scan):
         there = obstacle.points @ np.array(obstacle.rotation).T + obstacle.center
-        return np.linalg.norm(points[:, None] - there, axis=2).min(axis=1)
+        return distances_to_nearest(points, there)
     start = np.array(obstacle.start)
     way = np.subtract(obstacle.end, obstacle.start)
     length = np.linalg.norm(way)

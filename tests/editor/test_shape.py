@@ -11,6 +11,7 @@ import pytest
 from edited_tasks import L, bent_spline, coil, six_modules, straight_line
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from nearest import distances_to_nearest
 from sampling import cases, examples
 
 import pinposture as pp
@@ -294,7 +295,7 @@ def test_another_kind_of_curve_is_controlled_within_what_it_says(
     laid = place_curve(arm, curve, "align", 0.0)[0]
     places = laid.at(np.linspace(0.0, min(laid.length, arm.length), 1001))
     fine = shape.curve.at(np.linspace(0.0, shape.curve.length, 40_001))
-    apart = max(float(np.linalg.norm(fine - place, axis=1).min()) for place in places)
+    apart = distances_to_nearest(places, fine).max()
     assert shape.off <= SHAPE.fit_tolerance * arm.chain.module_lengths.mean()
     assert apart <= shape.off + 1e-4 * arm.length
     assert SHAPE.degree < len(shape.points) <= SHAPE.most_points

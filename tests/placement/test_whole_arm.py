@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
+from nearest import distances_to_nearest
 from sampling import seeds
 
 import pinposture as pp
@@ -40,7 +41,7 @@ def brute_force(arm, q, curve, normal=(0, 0, 0), per_link=60):
     places = np.array(places) - np.outer((np.array(places) - arm.chain.base) @ normal, normal)
     dense = curve.at(np.linspace(0.0, curve.length, 4001))
     links = np.concatenate([a + np.linspace(0, 1, per_link)[:, None] * (b - a) for a, b in pairwise(places)])
-    return max(np.linalg.norm(dense - place, axis=1).min() for place in links)
+    return distances_to_nearest(links, dense).max()
 
 
 @pytest.mark.parametrize("seed", seeds(4))

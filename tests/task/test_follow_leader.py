@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nearest import distances_to_nearest
 from sampling import examples
 
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, continuum_section, template
@@ -135,9 +136,7 @@ def test_distances_are_those_of_brute_force(seed):
         shares = np.arange(9)[:, None, None] / 8
         body = (ends[:-1] + shares * np.diff(ends, axis=0)).reshape(-1, 3)
         points = crossed().at(each).points
-        on_body, at_points = (
-            np.linalg.norm(places[:, None] - travelled, axis=2).min(axis=1) for places in (body, points)
-        )
+        on_body, at_points = (distances_to_nearest(places, travelled) for places in (body, points))
         assert deviation.body[row] == pytest.approx(on_body.max(), abs=7e-5)
         assert deviation.points[row] == pytest.approx(at_points, abs=7e-5)
     assert deviation.body[deviation.row] == deviation.largest == deviation.body.max()

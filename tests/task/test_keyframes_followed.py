@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import KDTree
+from nearest import distances_to_nearest
 from task.keyed_arms import S_CURVE, coil, five_postures, positions, snake, straight
 
 import pinposture as pp
@@ -64,7 +64,7 @@ def off_curve(reference: Reference, index: int) -> float:
     """How far off that curve the control points are, in arm lengths."""
     traced, row = midway(reference, index)
     points = reference.arm.at(reference.configuration(row)).points
-    return float(KDTree(traced).query(points)[0].max()) / reference.arm.length
+    return float(distances_to_nearest(points, traced).max()) / reference.arm.length
 
 
 @pytest.mark.long

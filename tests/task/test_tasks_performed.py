@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from nearest import distances_to_nearest
 from task_texts import LEADER, VALID
 
 import pinposture as pp
@@ -125,7 +126,7 @@ def test_keyframes_lie_on_the_curves_of_the_file(examples: dict[str, Done]) -> N
     curve = reference.waypoints[3].target.curve
     near = curve.at(np.linspace(0, curve.length, 20_000))
     # The arm passes it within half a cycle of the nearest row.
-    assert max(np.linalg.norm(near - point, axis=1).min() for point in helix) < 3e-4
+    assert distances_to_nearest(helix, near).max() < 3e-4
     turn = 2 * np.pi * np.hypot(0.06, 0.15 / (2 * np.pi))
     assert curve.length == pytest.approx(4 * turn, rel=1e-9)
 
@@ -146,8 +147,7 @@ def test_the_arm_touches_no_wall_of_its_pipe(examples: dict[str, Done]) -> None:
     near = path.at(np.linspace(0, path.length, 4000))
     for q in motion.q[:: max(1, motion.steps // 5)]:
         inside = [point for point in task.arm.at(q).points if point[0] > entry[0] + 1e-3]
-        for point in inside:
-            assert np.linalg.norm(near - point, axis=1).min() < 0.01 * task.arm.length
+        assert np.all(distances_to_nearest(np.reshape(inside, (-1, 3)), near) < 0.01 * task.arm.length)
     assert motion.q[-1][0] - motion.q[0][0] == pytest.approx(0.45)
 
 
