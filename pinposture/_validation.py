@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.errors import CurveError, InvalidValue, UnknownName
+from pinposture.units import ROUNDING
 
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
@@ -22,16 +23,12 @@ SMALLEST_NUMBER = 1e-30
 """Largest number of any kind, smallest one above 0; no product of ten of them over- or underflows."""
 LARGEST_COORDINATE = 1e9
 """Largest coordinate [m] and joint position [rad or m]; where an arm is known, see `Arm.require_near`."""
-SMALLEST_DISTANCE = 1e-9
-"""Smallest distance of points of a curve [m]; no product of two distances vanishes."""
-SAME_POINT_EXTENT = 1e-9
-"""Distance below which two points are one, relative to the extent of all."""
 SAME_POINT_ROUNDING = 1e-10
 """Distance below which two points are one, relative to their coordinates."""
 LARGEST_LENGTH = 1e4
 """Largest coordinate or size of an obstacle [m]; larger squares lose the digits that distances need."""
 SMALLEST_LENGTH = 1e-9
-"""Smallest size of something solid [m]."""
+"""Smallest size of something solid, and distance of points of a curve [m]: no product of two vanishes."""
 
 
 def require_instance(name: str, value: object, kind: type | UnionType, allowed: str) -> None:
@@ -204,9 +201,7 @@ def check_distinct(points: NDArray[np.float64], name: Callable[[int], str] = "po
         CurveError: naming both points.
     """
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    tolerance = max(
-        SAME_POINT_EXTENT * extent, SAME_POINT_ROUNDING * float(np.abs(points).max()), SMALLEST_DISTANCE
-    )
+    tolerance = max(ROUNDING * extent, SAME_POINT_ROUNDING * float(np.abs(points).max()), SMALLEST_LENGTH)
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     repeated = np.flatnonzero(gaps <= tolerance)
     if repeated.size:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from decimal import Decimal
 
 ROUNDING = 1e-9
-"""What is smaller is rounding: a length as a share of the arm length, an excess over a limit as a share of it
-or in rad or m. Forward kinematics of 40 joints is exact to some 1e-15 of the arm length."""
+"""What is smaller is rounding: a length as a share of that of the arm or the curve, a joint motion in
+`Arm.joint_units`, rad or m, an excess over a limit as a share of it. Forward kinematics of 40 joints is exact
+to some 1e-15 of the arm length."""
 
 CONVERGED = 1e-6
-"""What is smaller counts as none where numbers come from iterations or files: a share of the arm length, or
-`Arm.joint_units`. Runs converge to it."""
+"""What is smaller counts as none where numbers come from iterations or files: a share of the arm length, of
+a period, or of a unit of `Arm.joint_units`. Runs converge to it."""
 
 BELOW_ROUNDING = "below rounding"
 """How an error below `ROUNDING` is written."""

@@ -53,9 +53,6 @@ class PairSelection(NamedTuple):
     random_postures: int = 40
     """Number of random postures tried before a pair counts as never able to keep the margin."""
 
-    stationary: float = 1e-9
-    """Motion below which a point counts as stationary, in arm lengths."""
-
     listed: int = 4
     """Largest number of pairs that a warning lists."""
 
@@ -131,7 +128,7 @@ def stationary_ends(objects: CollisionObjects) -> list[tuple[int, Array]]:
     for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
         rotations, positions = (array[0, joints] for array in objects.kinematics.place(q))
         axes.append(ends @ rotations.swapaxes(1, 2) + positions[:, None])
-    still = np.ptp(axes, axis=0).max(axis=2) <= PAIRS.stationary * arm.length  # (bodies, 2)
+    still = np.ptp(axes, axis=0).max(axis=2) <= ROUNDING * arm.length  # (bodies, 2)
     return [(int(body), axes[0][body, end]) for body, end in np.argwhere(still & (joints > 0)[:, None])]
 
 
@@ -206,7 +203,7 @@ def _choose_pairs(
     near = objects.distances(internal)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
-        limit = PAIRS.margins_apart * scene.margin + PAIRS.stationary * arm.length
+        limit = PAIRS.margins_apart * scene.margin + ROUNDING * arm.length
         numbers = near.near(objects.kinematics.place(q), limit).pairs
         touching |= {(int(near.first[k]), int(near.second[k])) for k in numbers}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
 from pinposture import kernels
-from pinposture._validation import LARGEST_COORDINATE, SMALLEST_DISTANCE, as_count, as_points
+from pinposture._validation import LARGEST_COORDINATE, SMALLEST_LENGTH, as_count, as_points
 from pinposture.errors import CurveError, InvalidValue
 from pinposture.kernels.arrays import LengthArrays, SplineArrays
+from pinposture.units import ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -29,12 +30,6 @@ class CurveTolerances(NamedTuple):
 
     span: float = 1e-14
     """Smallest distance of knots above rounding errors, relative to the whole range."""
-
-    end: float = 1e-9
-    """Distance beyond the ends at which arc lengths count as ends, relative to the length."""
-
-    plane: float = 1e-9
-    """Distance of coefficients of a plane curve from its plane, relative to the length."""
 
     curvature: float = 1e-6
     """Curvature times length below which a curve counts as straight."""
@@ -82,7 +77,7 @@ def _checked_breaks(t: Array, k: int) -> Array:
         raise CurveError(f"knot {i}", f"{t[i]}; allowed: finite numbers up to {LARGEST_COORDINATE:g} in size")
     begin = t[k]
     end = t[-k - 1]
-    if end - begin <= SMALLEST_DISTANCE:
+    if end - begin <= SMALLEST_LENGTH:
         raise CurveError("knots", f"the curve runs from knot {begin} to {end}; allowed: an increase")
     gaps = t[1:] - t[:-1]
     least = TOLERANCES.span
@@ -256,7 +251,7 @@ class Geometry:
 
     def __repr__(self) -> str:
         ends = np.stack([self.start, self.end])
-        ends[np.abs(ends) < TOLERANCES.end * self.length] = 0
+        ends[np.abs(ends) < ROUNDING * self.length] = 0
         begin, end = (", ".join(f"{x:.4g}" for x in point) for point in ends)
         spans = len(self._spline.breaks) - 1
         return (
@@ -290,7 +285,7 @@ class Geometry:
         offsets = self.coefficients - self.coefficients.mean(axis=0)
         # The covariance would square the rounding errors.
         normal = np.linalg.svd(offsets, full_matrices=len(offsets) < 3)[2][2]
-        return 2 if float(np.abs(offsets @ normal).max()) <= TOLERANCES.plane * self.length else 3
+        return 2 if float(np.abs(offsets @ normal).max()) <= ROUNDING * self.length else 3
 
     def at(self, s: float | Lengths) -> Array:
         """Return points, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
@@ -365,7 +360,7 @@ class Geometry:
 
     def _parameter(self, s: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         """Return the spline parameters (n,) at arc lengths, and the shape of the latter."""
-        slack = TOLERANCES.end * self.length
+        slack = ROUNDING * self.length
         if type(s) is float and -slack <= s <= self.length + slack:
             return kernels.parameters_at(self._arc, np.array([min(max(s, 0.0), self.length)])), ()
         try:

@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.placement import Target
+from pinposture.units import CONVERGED
 
 
 class ArrivalTolerances(NamedTuple):
     """When an arm has arrived at its target, by one measurement or by an average of many."""
-
-    distance: float = 1e-6
-    """Mean distance of the control points from their targets at which the arm has converged, in arm
-    lengths. `track` and `perform` take another one, too."""
 
     averaged_time: float = 0.25
     averaged_readings: int = 8
@@ -46,21 +43,12 @@ class ArrivalTolerances(NamedTuple):
     """Mean distance of the control points of the command from where it aims, in arm lengths, below which
     only the feedback moves it."""
 
-    same_target: float = 1e-9
-    """Difference of targets that count as the same, in radians and in arm lengths."""
-
 
 ARRIVAL = ArrivalTolerances()
 
 
 class RestTolerances(NamedTuple):
     """When an arm rests, or stands although it is not at its target."""
-
-    step: float = 1e-9
-    """Largest step of an arm that counts as at rest, in `Arm.joint_units`."""
-
-    settling: float = 1e-6
-    """Largest step of an arm that still settles where it is, in `Arm.joint_units`."""
 
     standing_drift: float = 0.02
     """Motion of the control points during an average that counts as standing, as a share of their distances
@@ -130,7 +118,7 @@ class Arrival:
     """
 
     def __init__(self, length: float) -> None:
-        self._tolerance = ARRIVAL.distance * length
+        self._tolerance = CONVERGED * length
         self._last: tuple[Array, Array] | None = None
         self.restart()
 

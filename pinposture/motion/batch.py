@@ -333,7 +333,7 @@ def track_many(
     require_function("progress", progress)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
-    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    tolerance = CONVERGED * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     if jobs is not None:
         check_jobs(jobs)

@@ -38,6 +38,7 @@ from pinposture._validation import (
 from pinposture.arm import Arm, ChainState, ControlPoints
 from pinposture.arm.manipulability import chosen_points
 from pinposture.errors import InvalidValue
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
@@ -51,9 +52,6 @@ class UpdateSettings(NamedTuple):
 
     max_halvings: int = 8
     """How often a step that makes the fit worse is halved."""
-
-    small_motion: float = 1e-6
-    """Motion of a joint at which the fit ends, in `Arm.joint_units`."""
 
 
 UPDATE = UpdateSettings()
@@ -217,7 +215,7 @@ class Belief(NamedTuple):
                 break
             fit = tried
             cost = lower
-            if np.abs(covariance @ step / units).max() < UPDATE.small_motion:
+            if np.abs(covariance @ step / units).max() < CONVERGED:
                 break
         return fit
 

@@ -20,10 +20,10 @@ from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.controller import JointInterpolation
 from pinposture.control.limits import require_limits
 from pinposture.control.torque_limits import find_overload, require_held
-from pinposture.motion.arrival import ARRIVAL
 from pinposture.motion.loop import Callback, RecordedLoop, describe_arrival, in_scene
 from pinposture.motion.run import ENDINGS, RAISE_STEPS, Run
 from pinposture.placement import Target
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 
@@ -159,7 +159,7 @@ def track(
     require_function("callback", callback)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
-    tolerance = ARRIVAL.distance * arm.length if tolerance is None else tolerance
+    tolerance = CONVERGED * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
 
     start = arm.checked_start(q0, "q0")

@@ -42,7 +42,7 @@ from pinposture.motion.sag_compensation import RESERVED, SagCompensation, shared
 from pinposture.motion.touch import Touch, TouchDetector, read_torques
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
-from pinposture.units import CONVERGED, length_text
+from pinposture.units import CONVERGED, ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -412,7 +412,7 @@ class Tracker:
         apart = np.abs(target.errors(before.points)).max() / self.arm.length
         if target.q is not None and before.q is not None:
             apart = max(apart, np.abs(target.q - before.q).max())
-        return bool(apart <= ARRIVAL.same_target)
+        return bool(apart <= ROUNDING)
 
     def restart(self, q_measured: ArrayLike | Mapping[str, float], dq: ArrayLike | None = None) -> None:
         """Restart from the measured configuration, keeping the target.
@@ -657,7 +657,7 @@ class Tracker:
     def _watch_blockages(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:
         """Watch whether obstacles keep the measured arm from its target [m], or from its margin, for long."""
         displacement = self._feedback.displacement
-        if not np.any(np.abs(dq) > REST.settling * self.arm.joint_units):
+        if not np.any(np.abs(dq) > CONVERGED * self.arm.joint_units):
             self._pursuit.rest(displacement, dt)
             self._evasion.rest(displacement, dt)
             return
@@ -748,7 +748,7 @@ class Tracker:
         state = loop.ahead
         target = self._target or Target.from_configuration(self.arm, state.q)
         kept = controller.keep_clear(state, target, loop.limits, loop.motion)
-        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > REST.step * self.arm.joint_units))
+        return kept, bool(np.any(np.abs(kept.dq - braked.dq) > ROUNDING * self.arm.joint_units))
 
     def _target_problem(self) -> str:
         """Return why the target cannot be used; empty if it can."""
@@ -818,9 +818,9 @@ class Tracker:
         if feedback.reason or decision.evading or not aimed or error is None or feedback.state is None:
             return status, reason
         moved = float((np.abs(dq) / self.arm.joint_units).max())
-        if moved <= REST.step and error <= ARRIVAL.distance * self.arm.length:
+        if moved <= ROUNDING and error <= CONVERGED * self.arm.length:
             self._arrival.arrive()
-        if moved <= REST.settling and self._arrival.arrived:
+        if moved <= CONVERGED and self._arrival.arrived:
             return "converged", ""
         if compensated is not None:
             distance = compensated.mean_distance(feedback.state.chain_state.points)

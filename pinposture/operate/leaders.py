@@ -16,6 +16,7 @@ from pinposture.errors import PostureError
 from pinposture.placement.target import Target, arm_axis
 from pinposture.task import Steering
 from pinposture.task.steering import STEERING, describe_contact, entry_frame, moving_target
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 
@@ -42,9 +43,6 @@ class LeaderSettings(NamedTuple):
     room: float = 0.002
     """Distance beyond the margin that a tip keeps which is moved along straight lines, in arm lengths: where
     it turns aside at once, the arm cannot. One of 6 modules came 0.0015 closer than what led it."""
-
-    rejoined: float = 1e-6
-    """Distance from where a leader was at which it can go on, in `Arm.joint_units`."""
 
 
 LEADERS = LeaderSettings()
@@ -140,7 +138,7 @@ class SteeredTip:
     def rejoin(self, q: Array) -> str:
         """Return why it cannot go on from a configuration, (nq,): it is off the path of the tip."""
         away = np.abs(self._steering.arm.difference(self.q, q)) / self._steering.arm.joint_units
-        if away.max() <= LEADERS.rejoined:
+        if away.max() <= CONVERGED:
             return ""
         return "the arm is off the path of its tip: drive the way back first"
 

@@ -26,6 +26,7 @@ from pinposture.task.phases import is_phased
 from pinposture.task.retreat import WayIn, can_retreat, nearest_posture
 from pinposture.task.steering import describe_contact, margin_back, moving_target
 from pinposture.task.wrap import path_through, places_in_time
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 
@@ -416,7 +417,7 @@ class Ways:
 
 def _is_at(arm: Arm, q: Array, place: Array) -> bool:
     """Return whether a configuration is at another one, (nq,), but for rounding."""
-    return bool(np.all(np.abs(arm.difference(q, place)) <= LEADERS.rejoined * arm.joint_units))
+    return bool(np.all(np.abs(arm.difference(q, place)) <= CONVERGED * arm.joint_units))
 
 
 def towards(arm: Arm, goal: Target, limits: Limits, name: str) -> FindPath:

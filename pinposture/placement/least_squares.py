@@ -15,6 +15,7 @@ from pinposture.descent import Rating, descend
 from pinposture.kernels.arrays import SearchSettings
 from pinposture.placement.target import fitting_slides
 from pinposture.quadratic_program import solve
+from pinposture.units import CONVERGED, ROUNDING
 
 # The squared distances of all control points from their points on the curve are minimised over the joint
 # positions and the arc lengths of these points. Least squares alone may wind in the wrong direction, so the
@@ -52,9 +53,6 @@ class CurveFitSettings(NamedTuple):
 
     restart_noise: float = 0.3
     """Standard deviation of the perturbations of these starts [rad, or arm lengths]."""
-
-    exact: float = 1e-6
-    """Root mean square distance from the curve below which a fit is exact, in arm lengths."""
 
     least_spacing: float = 0.05
     """Smallest arc length between neighbouring control points, in module lengths."""
@@ -114,9 +112,6 @@ class SlidingFitSettings(NamedTuple):
 
     closing_weight: float = 1e-6
     """Weight of changes to the fit while its control points move onto the curve."""
-
-    on_joint: float = 1e-9
-    """Length of a link that counts as zero, in arm lengths."""
 
     converged: float = 1e-5
     """Relative decrease of the sum of squares at which a fit ends."""
@@ -333,7 +328,7 @@ class FitProblem:
         converged: relative decrease of the sum of squares at which the fit ends.
     """
 
-    exact = CURVE_FIT.exact
+    exact = CONVERGED
     converged = FIT_STEPS.converged
 
     def __init__(self, arm: Arm, start: float, bending: float, base: Array | None = None) -> None:
@@ -550,7 +545,7 @@ class SlidingFit(FitProblem):
         self._carried = joints < before[:, None]
         self._ratios = (chain.columns[:, None] == self.columns) * chain.ratios[:, None]
         links = np.linalg.norm(np.diff(self._stations(extended)[0], axis=0), axis=1)
-        long = links > SLIDING_FIT.on_joint * arm.length
+        long = links > ROUNDING * arm.length
         count = int(arm.base_slides.sum())  # links begin after them, see `ArmState.links`
         self._first = count + bool(count)
         long[: self._first] = False
@@ -566,7 +561,7 @@ class SlidingFit(FitProblem):
         """Move the control points of a fit onto the curve, if other residuals hold them off it."""
         tip = self.split(unknowns)[1][-1]
         length = self._arm.length
-        if self._bending > CURVE_FIT.exact or tip > curve.length + SLIDING_FIT.near * length:  # it cannot
+        if self._bending > CONVERGED or tip > curve.length + SLIDING_FIT.near * length:  # it cannot
             return unknowns
         points = copy(self)
         points._only_points = True

@@ -28,7 +28,7 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, UnsupportedModule
 from pinposture.kernels.arrays import CurveModule, ModuleSearch
 from pinposture.kernels.modules import FORM
-from pinposture.units import ROUNDING
+from pinposture.units import CONVERGED, ROUNDING
 
 # The RyRz module of the thesis rotates by q0 about y, translates by l1 along x, rotates by q1 about z and
 # translates by l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any
@@ -41,8 +41,6 @@ Level = Callable[[Array], Array]
 
 
 CROSSING_SAMPLES = 200  # number of curve samples per reach in the search for crossings
-
-AHEAD = 1e-6  # smallest arc length from the base to a crossing, relative to the reach
 
 
 class NumericModuleSettings(NamedTuple):
@@ -86,7 +84,7 @@ def curve_crossings(
         return np.asarray(base.rotation.T @ (np.asarray(curve.at(s)) - base.translation))
 
     step = reach / CROSSING_SAMPLES
-    s = start + AHEAD * reach
+    s = start + CONVERGED * reach  # the base is no crossing
     value = np.nan
     while s < curve.length:
         block = np.minimum(s + step * np.arange(CROSSING_SAMPLES + 1), curve.length)
@@ -760,7 +758,7 @@ class ConstantCurvature:
         first = first_facing(crossings, lambda p: bool(p[0] >= 0.0))
         if first is not None or not self.stretch:
             return first
-        ahead = np.linspace(start + AHEAD * self.reach, start + self.reach * np.pi, 400)
+        ahead = np.linspace(start + CONVERGED * self.reach, start + self.reach * np.pi, 400)
         ahead = ahead[ahead < curve.length] if start < curve.length else ahead[:0]
         ahead = np.append(ahead, curve.length) if start < curve.length else ahead
         points = (np.asarray(curve.at(ahead)).reshape(-1, 3) - base.translation) @ base.rotation

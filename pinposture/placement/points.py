@@ -47,9 +47,6 @@ class PointSearchSettings(NamedTuple):
     rough: float = 1e-3
     """Distance that a rough search accepts, in mean module lengths."""
 
-    exact: float = 1e-9
-    """Distance that an exact search accepts, in arm lengths."""
-
 
 POINT_SEARCH = PointSearchSettings()
 
@@ -79,7 +76,7 @@ def place_sequentially(
     center = 0.5 * low + 0.5 * high
     visits = max(POINT_SEARCH.visits_per_module * len(goals), POINT_SEARCH.visits)
     positions = near.copy()
-    exact = POINT_SEARCH.exact * arm.length
+    exact = ROUNDING * arm.length
     rough = POINT_SEARCH.rough * arm.length / len(goals)
     samples = _joint_samples(len(center))
     # Positions far from the limits leave more freedom for later modules.
@@ -130,7 +127,7 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
     m = len(goals)
     solution = chain.near.copy()
     samples = _joint_samples(len(chain.near))
-    exact = POINT_SEARCH.exact * arm.length
+    exact = ROUNDING * arm.length
     if kernels.search_branches(chain, goals, arm.length, exact, 1, 2 * m, samples, solution) < m:
         return None
     positions = np.array(near)

@@ -20,7 +20,7 @@ from pinposture.sim.contact import ContactModel
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
 from pinposture.sim.simulation import END_TOLERANCE, Simulation, describe_saturation
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,6 @@ AnyMotion: TypeAlias = "Run | Trajectory | JointTrajectory | ArrayLike"
 
 Progress = Callable[[int, int], object]
 """Called with the number of completed cycles and the total number of cycles."""
-
-UNIFORM = 1e-6  # relative variation up to which sampling periods count as equal
 
 
 class SetPoints(NamedTuple):
@@ -86,7 +84,7 @@ def _timed(arm: Arm, motion: AnyMotion, dt: float | None) -> JointTrajectory:
     periods = np.diff(timed.time)
     if not len(periods):
         raise InvalidValue("motion (rows)", len(timed.time), "at least two")
-    if np.ptp(periods) > UNIFORM * periods.max():
+    if np.ptp(periods) > CONVERGED * periods.max():
         timed = timed.sampled(float(np.median(periods)))
     return timed
 

@@ -29,14 +29,13 @@ from pinposture.arm.weight import NOTHING, REMEDY, add_masses, effort_limits, sc
 from pinposture.collision import Scene
 from pinposture.collision.model import effective_scene
 from pinposture.errors import InvalidValue, URDFError, enumerated, warn_caller
-from pinposture.quadratic_program import solve
+from pinposture.quadratic_program import ROW_PROGRAM, solve
 from pinposture.schema import CheckedBy, Declared, Flag, checked_number, declared, quantity
 from pinposture.sim.contact import ContactModel, add_contact
 from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
-UNBOUNDED = 1e30  # represents an infinite bound in the quadratic program
 LARGEST_SETTING = 1e5  # of servos, other than torques; no gain overflows
 
 
@@ -196,14 +195,11 @@ def torques_within_limits(
     solution = solve(
         hessian * np.outer(scale, scale),
         -(spring / damping - unmoved) * scale,
-        np.maximum(lower / scale, -UNBOUNDED),
-        np.minimum(upper / scale, UNBOUNDED),
+        np.maximum(lower / scale, -ROW_PROGRAM.no_bound),
+        np.minimum(upper / scale, ROW_PROGRAM.no_bound),
     )
     torques = solution.x if solution.x is not None else np.zeros(len(spring))
     return np.clip(torques * scale, lower, upper)
-
-
-N_RANDOM_POSTURES = 8  # for comparing forward kinematics and evaluating mass matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -584,13 +580,13 @@ def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]
 
 
 def _sample_positions(arm: Arm) -> list[Array]:
-    """Return joint positions, (nv,), for evaluating the model: straight, nearly straight, and random."""
+    """Return joint positions, (nv,), to evaluate the model at: straight, nearly so, and 8 random ones."""
     rng = np.random.default_rng(0)
     straight = arm.positions(arm.straight())
     return [
         straight,
         straight + rng.uniform(-0.1, 0.1, arm.nv) * arm.joint_units,
-        *(arm.positions(arm.random(rng)) for _ in range(N_RANDOM_POSTURES)),
+        *(arm.positions(arm.random(rng)) for _ in range(8)),
     ]
 
 

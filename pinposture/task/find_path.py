@@ -20,7 +20,7 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, OutOfReach, PostureError, ReachError, raise_together
 from pinposture.placement.target import arm_axis
 from pinposture.task.follow_leader import FedArm
-from pinposture.units import length_text
+from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
@@ -51,10 +51,6 @@ class PathTreeSettings(NamedTuple):
     points_per_radius: float = 6.0
     points_per_path: int = 12
     """Control points of the spline per smallest bending radius, and smallest total number."""
-
-    same_place: float = 1e-9
-    """Distance from the plane of a planar arm, or between two points, that is due to rounding, in arm
-    lengths."""
 
     excess: float = 1e-6
     """Relative excess of the curvature of an arc that is due to rounding: it is recomputed from its
@@ -192,7 +188,7 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
     misfits: list[PostureError] = []
     for name, vector in ends.items():
         across = float(np.linalg.norm(vector - plane.T @ (plane @ vector)))
-        most = TREES.same_place * max(body.length, 1.0)
+        most = ROUNDING * max(body.length, 1.0)
         if across > most:
             reason = (
                 f"the {name} is {length_text(across)} off the plane in which the arm moves; "
@@ -200,7 +196,7 @@ def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> 
             )
             misfits.append(OutOfReach(end, reason))
     apart = float(np.linalg.norm(end - begin))
-    if apart <= TREES.same_place * body.length:
+    if apart <= ROUNDING * body.length:
         misfits.append(InvalidValue("goal", end.tolist(), "a position away from the start"))
     if apart > follower.longest:
         missing = f"{length_text(apart - follower.longest)} are missing"

@@ -56,7 +56,7 @@ from pinposture.schema import (
 from pinposture.task.keyframe import usual_placement
 from pinposture.task.reference import Reference, Waypoint
 from pinposture.toml import Usual
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, ROUNDING, length_text
 
 # An arm on a feed: a slide that pushes the whole arm along its axis.
 
@@ -73,12 +73,6 @@ class FeedTolerances(NamedTuple):
 
     axis: float = 1e-6
     """Largest sine of the angle between the axis of the feed and that of the straight arm."""
-
-    straight_start: float = 1e-6
-    """Largest distance of a joint from its position in the straight arm, in `Arm.joint_units`."""
-
-    min_link_length: float = 1e-9
-    """Largest length of a link that counts as zero, relative to the arm."""
 
     tip_lead: float = 0.1
     """Largest lead or lag of the tip relative to the feed, in arm lengths: links that cut bends short gain
@@ -188,11 +182,11 @@ def _not_straight(arm: Arm, start: Array, columns: NDArray[np.intp], straight: A
     """Return why joint positions (nv,) are not a start: bent joints, and joints beyond their limits."""
     problems = list[PostureError]()
     bent = np.abs(start[columns] - straight) / arm.joint_units[columns]
-    if bent.max() > FEED.straight_start:
+    if bent.max() > CONVERGED:
         worst = int(columns[np.argmax(bent)])
-        number = int(np.sum(bent > FEED.straight_start))
+        number = int(np.sum(bent > CONVERGED))
         text = f"{number} of {len(bent)} joints bent, most {arm.joint_names[worst]}, by {bent.max():.4g}"
-        allowed = f"the straight arm, to within {FEED.straight_start:g} (rad or module lengths)"
+        allowed = f"the straight arm, to within {CONVERGED:g} (rad or module lengths)"
         problems.append(InvalidValue("start", text, f"{allowed}, at any position of the feed"))
     over = np.maximum(start - arm.limits.upper, arm.limits.lower - start)
     if not arm.within_limits(arm.configuration(start)):
@@ -216,7 +210,7 @@ def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     ends = [*body.chain.origins[1:], body.chain.points[-1]]
     names = []
     for name, begin, end in zip(body.chain.joints, body.chain.origins, ends, strict=True):
-        if np.linalg.norm(end - begin) > FEED.min_link_length * body.length:
+        if np.linalg.norm(end - begin) > ROUNDING * body.length:
             joint = model.getJointId(name)
             there = placements[joint].inverse() * pin.SE3(np.eye(3), np.asarray(end))
             names.append(f"end of the link after {name}")

@@ -23,7 +23,7 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import PATH, JointPath, SpeedProfile, TimedPath, retime
 from pinposture.control.torque_limits import require_held
 from pinposture.errors import InvalidValue
-from pinposture.motion.arrival import ARRIVAL, STALL
+from pinposture.motion.arrival import STALL
 from pinposture.motion.held import HeldObject
 from pinposture.motion.loop import RecordedLoop, in_scene
 from pinposture.motion.run import Run
@@ -41,7 +41,7 @@ from pinposture.task.reference import (
     require_passage,
     tip_off,
 )
-from pinposture.units import length_text
+from pinposture.units import CONVERGED, length_text
 
 Array = NDArray[np.float64]
 
@@ -302,7 +302,7 @@ def perform(
     controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits(step=None, dt=CYCLES.default) if limits is None else limits
     dt = cycle_of(limits)
-    tolerance = ARRIVAL.distance * arm.length if tolerance is None else tolerance
+    tolerance = CONVERGED * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     start = arm.checked(reference.start, "reference.start") if q0 is None else arm.checked_start(q0, "q0")
     require_instance("strict", strict, bool, "True or False")

@@ -30,7 +30,7 @@ from pinposture.control.planner.path_search import divide
 from pinposture.errors import InvalidValue, no_warnings
 from pinposture.placement import Target
 from pinposture.task.falling import Fall, fall_of
-from pinposture.units import CONVERGED
+from pinposture.units import CONVERGED, ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -51,9 +51,6 @@ class RetreatSettings(NamedTuple):
     near: float = 1.0
     """Largest distance of a control point from where it is outside, in module lengths, if an obstacle does
     not let the arm take the posture outside with the joint that is stuck."""
-
-    rounding: float = 1e-9
-    """Missing clearance that is due to rounding, in arm lengths."""
 
     hanging: float = 3e-4
     """Largest distance of a joint without torque from where it hangs, halfway between postures of a way, in
@@ -401,7 +398,7 @@ class _Ways:
         back = self._rows[self._kept[self._kept < row][::-1]]
         reasons = []
         for outside in self._outside:
-            least = max(min(kept, self._model.minimum(outside).distance), 0.0) - RETREAT.rounding * arm.length
+            least = max(min(kept, self._model.minimum(outside).distance), 0.0) - ROUNDING * arm.length
             with no_warnings():  # the model of the arm whose joints all work has warned
                 path = self._way(fallen, column, least).out(back, outside, self._budget)
             if isinstance(path, JointPath):

@@ -60,9 +60,6 @@ class FollowingSettings(NamedTuple):
     progress_share: float = 0.005
     """Share of a path that counts as progress for an arm that is held back."""
 
-    arrived: float = 1e-9
-    """Remaining joint motion at which the arm is at the end of a path, in `Arm.joint_units`."""
-
     error_rounding: float = 1e-12
     """Increase of the posture error that is attributed to rounding, in arm lengths."""
 
@@ -100,7 +97,7 @@ FOLLOWING = FollowingSettings()
 
 PATH_TOLERANCES = PathTolerances(
     disturbed=FOLLOWING.most_deviation,
-    arrived=FOLLOWING.arrived,
+    arrived=ROUNDING,
     rounding=ROUNDING,
     max_motion=PATH.most_step,
 )
@@ -723,7 +720,7 @@ def _clear_stop(
     if stop is not None or brake is None or bounds.effort is not None or moved.timed.profile is None:
         return stop
     off = path.offset_of(state, moved.s) + dq - path.smooth_offset(moved.s)
-    if np.any(np.abs(off) > FOLLOWING.arrived * path.arm.joint_units):
+    if np.any(np.abs(off) > ROUNDING * path.arm.joint_units):
         return None
     stopping = stopping_on_path(moved)
     changes = np.diff(np.vstack([dq, stopping, np.zeros(len(dq))]), axis=0)
@@ -799,7 +796,7 @@ def step_along(
     tasks = objective.task_rows(state, priority=True)
     proposal = _next_on_path(progress, state, step_bounds, bounds, tasks)
     s, left, inside, held_back, dq, _ = proposal
-    if s >= path.end and left <= FOLLOWING.arrived:
+    if s >= path.end and left <= ROUNDING:
         progress = progress._replace(arrived=True, s=path.end)
         return reduce_remaining(progress, StepConstraints.of(objective, state, step_bounds, avoidance))
     if inside and avoidance is None and not objective.tasks:
@@ -824,7 +821,7 @@ def step_along(
         return CandidateStep(objective.displacement(x), progress, solution)
     step = _bend_to_tasks(progress, dq, constraints, tasks)
     if tasks is not None and proposal.rest is not None:
-        most = np.abs(dq) + FOLLOWING.arrived * objective.chain.units
+        most = np.abs(dq) + ROUNDING * objective.chain.units
         if np.any((np.abs(step.dq) > most)[objective.columns]):
             shared = _share(proposal.rest, dq)
             step = _bend_to_tasks(progress, shared, constraints, tasks)
@@ -946,15 +943,15 @@ def _next_on_path(
         # On so short a path each joint moves to the end on its own, as fast as it can stop there.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), step_bounds.lower), step_bounds.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
-        s = 1.0 - (1.0 - here) * min(ahead / max(left, FOLLOWING.arrived), 1.0)
+        s = 1.0 - (1.0 - here) * min(ahead / max(left, ROUNDING), 1.0)
         return _Proposal(s, left, True, True, dq, rest)
     lag = path.smooth_offset(here) - offset
     if tasks is not None:
         lag = _admitted(progress, here, tasks, lag)
     braking = bounds.braking
-    if bounds.effort is not None and bounds.dt is not None and np.any(np.abs(lag) > FOLLOWING.arrived):
+    if bounds.effort is not None and bounds.dt is not None and np.any(np.abs(lag) > ROUNDING):
         torques = StepTorques(state.arm, bounds, state.raw_positions, None)
-        slowing = np.maximum(torques.slowing(state.raw_positions, lag) * np.abs(lag), FOLLOWING.arrived)
+        slowing = np.maximum(torques.slowing(state.raw_positions, lag) * np.abs(lag), ROUNDING)
         braking = slowing if bounds.brake is None else np.minimum(slowing, braking)
     dq = np.empty(state.arm.nv)
     s, held_back, inside = kernels.step_on_profile(

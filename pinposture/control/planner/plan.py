@@ -39,6 +39,7 @@ from pinposture.control.planner.trajectory_optimization import (
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
+from pinposture.units import ROUNDING
 
 logger = logging.getLogger(__name__)
 
@@ -51,9 +52,6 @@ Report = Callable[[str, JointPath | None], None]
 
 class PlanSettings(NamedTuple):
     """How many paths a plan compares, and which it prefers."""
-
-    turn_rounding: float = 1e-9
-    """Joint displacement that is due to rounding [rad or m]."""
 
     task_root: float = 0.4
     """Root of the weight of tasks on the path, relative to the motion of control points."""
@@ -185,7 +183,7 @@ def plan(
     end = path.configuration(path.end)
     goal = state.arm.chain_at(end) if known_goal is None else known_goal
     if torques is not None and (
-        known_goal is None or np.abs(state.arm.difference(known_goal.q, end)).max() > PLAN.turn_rounding
+        known_goal is None or np.abs(state.arm.difference(known_goal.q, end)).max() > ROUNDING
     ):
         torques.require_held(state.arm.chain_at(end), "the goal")
     words = [path.blocked_by] if path.blocked_by else []
