@@ -88,7 +88,8 @@ class DriverSettings(Declared):
         touch: how to notice from measured efforts that something touches the arm; None: it is not noticed.
         sensing: what other sensors tell the shape; None: the encoders of all joints alone do.
         lock_after: time for which a joint has to stick before it is locked, and the arm goes on without it
-            [s]; None: the arm holds until the joint moves.
+            [s]; None: the arm holds until the joint moves. One that was astray before is not locked: it may
+            be limp or weak, and move with the others.
         max_cloud_age: age of the last cloud above which the map is stale [s], once there was one; None: it
             never is.
         stale: what the arm does on a stale map: "hold", or "slow": it moves with a quarter of its speed.
@@ -295,6 +296,7 @@ class Driver:
         )
         self._way_in = WayIn(arm)
         self._stuck: set[str] = set()  # that cannot be locked
+        self._fallen: set[str] = set()  # that were astray
         self._target_fault = ""
         self._occurrences = Occurrences()  # of reasons why the arm does not move as it shall
         self._connect(node)
@@ -568,16 +570,26 @@ class Driver:
         return names
 
     def _lock_stuck(self) -> None:
-        """Have joints locked that stick for long enough."""
+        """Have joints locked that stick for long enough, but for those that fell before."""
+        failures = self.tracker.report.failures
+        self._fallen |= {failure.joint for failure in failures if failure.kind != "stuck"}
         patience = self.settings.lock_after
         if patience is None or self._preparing or self._to_lock is not None:
             return
         known = {*self.locked, *self._stuck}
         stuck = [
             failure.joint
-            for failure in self.tracker.report.failures
+            for failure in failures
             if failure.kind == "stuck" and failure.duration >= patience and failure.joint not in known
         ]
+        fallen = self._fallen.intersection(stuck)
+        if fallen:
+            self._stuck |= fallen
+            words = (
+                f"{', '.join(sorted(fallen))}: not locked, as what fell before it stood may be limp or weak"
+            )
+            self._node.get_logger().error(words)
+        stuck = [name for name in stuck if name not in fallen]
         if stuck:
             from rclpy.parameter import Parameter
 

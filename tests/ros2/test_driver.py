@@ -15,6 +15,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.collision.mapping import SEEN
+from pinposture.motion.feedback import JointFailure
 from pinposture.operate import Control, Operation
 from pinposture.ros2 import Driver, DriverSettings
 from pinposture.ros2.clouds import write_points
@@ -425,6 +426,29 @@ def test_an_operator_leads_the_arm_and_nothing_else_does(graph: Any, driver: Dri
     driver._guide = None
     driver.aim(posture(arm, 0.0))
     assert graph.run(lambda: robot.at(posture(arm, 0.0))), driver.reason
+
+
+def test_a_joint_that_fell_before_it_stood_is_not_locked(driver: Driver) -> None:
+    from rclpy.parameter import Parameter
+
+    first, second = driver.arm.joint_names[:2]
+    stands = JointFailure(first, "stuck", 0.3, 9.0)
+    before = driver.tracker.report
+    patient = driver.settings
+    driver.settings = replace(patient, lock_after=1.0)
+    for failure in (stands._replace(kind="astray"), stands):
+        driver.tracker.report = before._replace(failures=(failure,))
+        driver._lock_stuck()
+        assert driver._to_lock is None
+    driver.tracker.report = before._replace(failures=(stands._replace(joint=second),))
+    driver._lock_stuck()
+    assert driver._to_lock == (second,)
+    assert driver._node.set_parameters([Parameter("locked", value="")])[0].successful
+    driver._to_lock = None
+    driver.settings = patient
+    driver.tracker.report = before
+    driver._fallen = set()
+    driver._stuck = set()
 
 
 def test_an_operator_leads_the_arm_out_with_the_joint_that_sticks(
