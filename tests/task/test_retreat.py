@@ -266,6 +266,18 @@ def test_a_weak_joint_is_spared_on_the_way_out(seed: int) -> None:
     assert most <= torque * (1.0 + 1e-5)
 
 
+def test_a_weak_joint_that_lies_at_its_end_stop_need_not_be_held() -> None:
+    rows = bent(2)
+    torque = 0.3 * float(heavy().outstretched_torques[0])
+    (way,) = pp.can_retreat(heavy(), rows, BALL, "m01_j1_y", torque=torque, postures=[19]).ways
+    assert way.path is not None
+    assert way.position == pytest.approx(0.8, abs=1e-12)
+    for q in way.path.configurations:
+        assert q[0] == pytest.approx(0.8, abs=1e-12)
+        assert held_by(q)[0] < -torque  # weight presses it there, more than its drive could lift
+    np.testing.assert_allclose(way.path.configurations[-1, 1:], rows[0, 1:], atol=1e-9)
+
+
 def test_what_falls_into_something_or_nobody_knows_where_has_no_way_out() -> None:
     rows = bent(1)
     below = pp.Scene({"floor": pp.Box((0.3, 0.0, -0.16), (0.8, 0.8, 0.02))}, margin=MARGIN)
