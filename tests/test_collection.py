@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import subprocess
 import sys
@@ -68,7 +69,9 @@ def test_faults_are_seeded_in_packages_that_have_tests() -> None:
 @pytest.mark.process
 def test_the_quick_tests_and_the_rest_are_all_tests() -> None:
     folder = TESTS / "kernels"
-    every, quick, rest = (collected(folder, *options) for options in (["--full"], [], ["--rest"]))
+    sets = (["--full"], [], ["--rest"])
+    printed = outputs_of_pytest(*(({}, ["--collect-only", *options, str(folder)]) for options in sets))
+    every, quick, rest = ({line for line in each.splitlines() if "::" in line} for each in printed)
     assert quick | rest == every
     drawn = {test.partition("::")[2].partition("[")[0] for test in quick & rest}
     source = "".join(path.read_text(encoding="utf-8") for path in folder.glob("test_*.py"))
@@ -77,23 +80,38 @@ def test_the_quick_tests_and_the_rest_are_all_tests() -> None:
 
 
 @pytest.mark.process
-def test_a_seed_draws_the_same_cases_wherever_the_tests_run(monkeypatch) -> None:
+def test_a_seed_draws_the_same_cases_wherever_the_tests_run() -> None:
     one = "tests/kernels/test_bounded.py::test_the_minimum_is_the_best_of_all_choices_of_sides"
     options = ("--full", "--hypothesis-verbosity=verbose", "--capture=no", one)
-    drawn = {}
-    for ci, seed in (("", 0), ("", 1), ("true", 1)):
-        monkeypatch.setenv("CI", ci) if ci else monkeypatch.delenv("CI", raising=False)
-        printed = output_of_pytest(*options, f"--hypothesis-seed={seed}")
-        drawn[ci, seed] = re.findall(r"\bseed=\d+", printed)
-    assert drawn["", 0] != drawn["", 1] == drawn["true", 1] and len(drawn["", 1]) >= 10
+    printed = outputs_of_pytest(
+        *(
+            (ci, [*options, f"--hypothesis-seed={seed}"])
+            for ci, seed in (({}, 0), ({}, 1), ({"CI": "true"}, 1))
+        )
+    )
+    zero, first, in_ci = (re.findall(r"\bseed=\d+", each) for each in printed)
+    assert zero != first == in_ci and len(first) >= 10
 
 
-def collected(folder: Path, *options: str) -> set[str]:
-    printed = output_of_pytest("--collect-only", *options, str(folder))
-    return {line for line in printed.splitlines() if "::" in line}
+# Each run is a process of its own, forked from one that has loaded the library.
+RUNS_OF_PYTEST = """
+import json, os, sys
+import benchmarks.baselines
+assert not {"pytest", "hypothesis"} & set(sys.modules)  # what they do may depend on the environment
+os.environ.pop("CI", None)
+for environment, options in json.loads(sys.argv[1]):
+    child = os.fork()
+    if child == 0:
+        os.environ.update(environment)
+        import pytest
+        sys.exit(pytest.main(options))
+    assert os.waitpid(child, 0)[1] == 0, options
+    print("end of a run", flush=True)
+"""
 
 
-def output_of_pytest(*options: str) -> str:
-    command = [sys.executable, "-m", "pytest", *options]
+def outputs_of_pytest(*runs: tuple[dict[str, str], list[str]]) -> list[str]:
+    """What pytest prints, for each addition to the environment and the options with it."""
+    command = [sys.executable, "-c", RUNS_OF_PYTEST, json.dumps(runs)]
     done = subprocess.run(command, cwd=TESTS.parent, check=True, capture_output=True, text=True, timeout=120)
-    return done.stdout
+    return done.stdout.split("end of a run\n")[:-1]
