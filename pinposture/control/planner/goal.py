@@ -20,6 +20,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import Objective
 from pinposture.placement.points import initial_guesses, points_determine_joints
+from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,10 @@ class PlanNeeded(Exception):
 
 
 class GoalSettings(NamedTuple):
-    """How many starts a search for a goal compares, and which result it prefers."""
+    """How many starts a search for a goal compares, and which result it prefers.
+
+    `docs/design/branch_search.md` says what half and twice of them change.
+    """
 
     random_starts: int = 6
     """Number of random starts if no configuration is known."""
@@ -49,9 +53,6 @@ class GoalSettings(NamedTuple):
 
     agreeing: int = 3
     """Number of consecutive searches that must agree to skip the rest."""
-
-    same_cost: float = 1e-3
-    """Relative difference of the costs of searches that agree."""
 
     much_better: float = 0.5
     """Share of the cost of an earlier goal below which a later one is preferred, if a task holds the
@@ -116,7 +117,7 @@ def find_goal(
             break
         latest = search(start)
         alike = latest.intrusion == best.intrusion == 0.0 and not objective.tasks
-        agreeing = agreeing + 1 if alike and abs(latest.cost - best.cost) <= GOAL.same_cost * best.cost else 1
+        agreeing = agreeing + 1 if alike and abs(latest.cost - best.cost) <= CONVERGED * best.cost else 1
         if (latest.intrusion, latest.cost) < (best.intrusion, better * best.cost):
             best = latest
     return best
