@@ -254,14 +254,15 @@ def _acceleration_range(
             if abs(a) <= tiny or rows.limit[j] == np.inf:
                 continue
             b = rows.b[part, row, j]
-            middle = -(b * x + rows.c[part, row, j]) / a
-            reach = rows.limit[j] / abs(a)
+            inverse = 1.0 / a  # one division takes as long as all the rest
+            middle = -(b * x + rows.c[part, row, j]) * inverse
+            reach = rows.limit[j] * abs(inverse)
             if middle + reach < high:
                 high = middle + reach
-                high_slope = -b / a
+                high_slope = -b * inverse
             if middle - reach > low:
                 low = middle - reach
-                low_slope = -b / a
+                low_slope = -b * inverse
     return low, high, low_slope, high_slope
 
 
