@@ -1,6 +1,6 @@
 """How far torques exceed their limits in steps that leave the timing of a path.
 
-    python -m benchmarks.studies.torque_limits              # 525 runs, some five minutes
+    python -m benchmarks.studies.torque_limits              # 525 runs, some ten minutes
     python -m benchmarks.studies.torque_limits --runs 10    # of each kind
 
 Each run is a `Tracker` in cycles of 10 ms with an arm of 3 to 10 modules on the floor, on a wall or under a

@@ -91,8 +91,8 @@ class Geodesic:
        measured by the motion of control points and chords. At the end of the path, damped least squares
        within the same limits reduce the remaining errors.
 
-    The path is replanned if the target changes, if the arm is away from its expected position, or if it makes
-    no progress. An arm outside its position limits or inside an obstacle first returns, by the smallest
+    The path is replanned if the target changes, if the arm is away from its expected position, if it makes no
+    progress, or if an obstacle has left the goal that the path could not end at. An arm outside its position limits or inside an obstacle first returns, by the smallest
     sufficient step.
 
     If the constraints are infeasible, they are relaxed in this order, and `Step.violated_constraints`

@@ -454,10 +454,9 @@ class PathSearch:
         From each waypoint, motions to the last one, to the one halfway there, and so on are tried.
         """
         ends = np.append(0, np.cumsum(_count_pieces(path, self._units)))
-        lengths = self._measure(divide(path, self._units))
-        places = np.append(0.0, np.cumsum(lengths))[
-            ends
-        ]  # the longer a piece, the more its chords fall short
+        # Measured in small pieces, as motions are: chords of long pieces fall short.
+        distances = np.append(0.0, np.cumsum(self._measure(divide(path, self._units))))
+        travelled = distances[ends]
         last = len(path) - 1
         kept = [0]
         while kept[-1] < last:
@@ -466,7 +465,7 @@ class PathSearch:
             while there > here + 1:
                 motion = path[[here, there]]
                 length = self._measure(divide(motion, self._units)).sum()
-                if length < places[there] - places[here] and self.is_clear(motion):
+                if length < travelled[there] - travelled[here] and self.is_clear(motion):
                     break
                 there = (here + there) // 2
             kept.append(there)

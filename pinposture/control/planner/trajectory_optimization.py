@@ -153,7 +153,10 @@ class HinderedSettings(NamedTuple):
     """That share."""
 
     first_reach: float = 0.3
-    """Largest joint motion of a waypoint in the first Gauss-Newton step, in `Arm.joint_units`."""
+    """Largest joint motion of a waypoint in the first Gauss-Newton step, in `Arm.joint_units`.
+
+    `docs/design/relaxation.md` says how this and the next two were found; the study `clutter` guards them.
+    """
 
     most_reach: float = 1.2
     """The same in any later step."""
@@ -171,7 +174,7 @@ class HinderedSettings(NamedTuple):
     """Damping at which the search ends, relative to the mean diagonal of J^T J."""
 
     damping_decrease: float = 1.0 / 3.0
-    """Damping factor after a step that was not shortened and lowered the energy."""
+    """Damping factor after a step that lowered the energy at once; see `Descent.keeps`."""
 
     damping_increase: float = 30.0
     """Damping factor after a step that did not lower it, halved or not."""

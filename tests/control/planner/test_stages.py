@@ -65,8 +65,7 @@ def test_the_stages_in_a_row_make_the_run_that_track_makes(seed: int, among: boo
     alone, _ = followed(path, q)
     run = pp.track(arm(), target, q, limits=limits, scene=scene, max_steps=2000)
     count = min(len(alone), len(run.q))
-    # Beside an obstacle the two may know other stops, straight or along the path, and brake otherwise.
-    np.testing.assert_allclose(alone[:count], run.q[:count], atol=2e-3 if among else 1e-12)
+    np.testing.assert_allclose(alone[:count], run.q[:count], atol=1e-12)
     assert run.converged and abs(len(alone) - len(run.q)) <= 2
 
 

@@ -250,12 +250,6 @@ def test_torques_keep_their_limits_where_a_tracker_is_disturbed(seed: int, kind:
     assert found.error < torque_limits.ARRIVED
 
 
-@pytest.mark.long
-def test_a_target_that_came_through_postures_that_cannot_be_held_is_reached() -> None:
-    """Between swings to and fro before them, single steps are not hindered; they do not count as progress."""
-    assert torque_limits.run(41, "moves on").error < torque_limits.ARRIVED
-
-
 @pytest.mark.parametrize("seed", seeds(12))
 def test_a_stop_keeps_torque_limits(seed: int) -> None:
     """On a straight line, to rest, within limits of position and acceleration; torques are Pinocchio's."""
