@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Flags1, Ints1
+from pinposture.kernels.arrays import Array1, Array2, Flags1, Ints1, Singles2
 from pinposture.kernels.compiled import subkernel
 
 LANES = 16
@@ -25,6 +25,9 @@ Lanes = tuple[Ints1, Array2, Array2]
 """Number of joints that carry each point, (m,); screws of the joints, (n, 6 lanes), as in `chain_solver`; and
 the way to each point from the one before, (m, 3 lanes)."""
 
+SingleLanes = tuple[Ints1, Singles2, Singles2]
+"""The same in single precision, for `solve_lanes`."""
+
 
 @subkernel
 def factor_lanes(
@@ -34,7 +37,7 @@ def factor_lanes(
     free: Array2,
     loads: Array2,
     loaded: Flags1,
-    gains: Array2,
+    gains: Singles2,
 ) -> None:
     """Run the pass from the tip to the base, without right-hand sides.
 
@@ -70,7 +73,7 @@ def factor_lanes(
 
 
 @subkernel
-def _eliminate(cost: Array2, b: Array2, u: int, damping: Array1, free: Array2, gains: Array2) -> None:
+def _eliminate(cost: Array2, b: Array2, u: int, damping: Array1, free: Array2, gains: Singles2) -> None:
     """Minimise the cost over the motion of a joint, and fill in its gains."""
     for i in range(LANES):
         p00 = cost[0, i]
@@ -203,7 +206,7 @@ def _shift_cost(cost: Array2, ways: Array2, k: int) -> None:
 
 
 @subkernel
-def solve_lanes(chains: Lanes, gains: Array2, right: Array2, count: int, x: Array2) -> None:
+def solve_lanes(chains: SingleLanes, gains: Singles2, right: Singles2, count: int, x: Singles2) -> None:
     """Solve for one right-hand side after `factor_lanes`.
 
     Args:
@@ -216,7 +219,7 @@ def solve_lanes(chains: Lanes, gains: Array2, right: Array2, count: int, x: Arra
     ends, b, ways = chains
     n = len(b)
     m = len(ends)
-    state = np.zeros((1, 6 * LANES))
+    state = np.zeros((1, 6 * LANES), np.float32)
     for u in range(ends[m - 1], n):
         for i in range(count):
             x[u, i] = gains[u, 6 * LANES + i] * right[u, i]
@@ -244,7 +247,7 @@ def solve_lanes(chains: Lanes, gains: Array2, right: Array2, count: int, x: Arra
                 state[0, 5 * LANES + i] = s5 - gains[u, 5 * LANES + i] * t
         if k:
             _shift_forces(state, ways, k)
-    state[:] = 0.0
+    state[:] = np.float32(0.0)
     for k in range(m):
         if k:
             _shift_motion(state, ways, k)

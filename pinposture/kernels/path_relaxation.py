@@ -16,6 +16,9 @@ from pinposture.kernels.arrays import (
     PathProblem,
     PathRows,
     PointObjective,
+    Singles1,
+    Singles2,
+    Singles3,
 )
 from pinposture.kernels.chain_lanes import (
     COST,
@@ -64,14 +67,15 @@ class RelaxationSettings(NamedTuple):
     samples_per_piece: int = 4
     """Smallest number of samples of each of its pieces."""
 
-    set_changes: int = 3
-    """Number of corrections of the active set in a step of all waypoints."""
+    set_changes: int = 8
+    """Number of corrections of the active set in a step of all waypoints. It takes 5 to 8; with three, steps
+    are 0.5 times their length off in the median, and leave kinks."""
 
     conjugate_steps: int = 60
     """Largest number of conjugate gradient iterations for a step of all waypoints."""
 
-    conjugate_residual: float = 1e-2
-    """Residual at which these end, relative to the right-hand side."""
+    conjugate_residual: float = 0.1
+    """Residual at which these end, relative to that of no step, with the first active set."""
 
 
 RELAXATION = RelaxationSettings()
@@ -401,9 +405,10 @@ def step_waypoints(
     chains = own_ends, packed, ways
     chunks = len(packed)
     diagonals, before, after = _couple(last, damping, chunks)
-    gains = np.empty((chunks, n, GAINS * LANES))
+    gains = np.empty((chunks, n, GAINS * LANES), np.float32)
     free = np.zeros((chunks, n, LANES))
-    factor = _Factor(diagonals, before, after, gains, free)
+    singles = packed.astype(np.float32), ways.astype(np.float32)
+    factor = _Factor(diagonals, before, after, gains, free, singles[0], singles[1])
     size = weight, damping * typical
     active = contacts.errors > 0.0
     wrenches = np.zeros((len(active), 2, 6))
@@ -468,7 +473,9 @@ Size = tuple[float, float]
 
 
 class _Factor(NamedTuple):
-    """The preconditioner. Couplings are multiples of J_i^T J_k + mu^2 I, with the other sign.
+    """The preconditioner, in single precision: it need not be exact, and is read in each iteration.
+
+    Couplings are multiples of J_i^T J_k + mu^2 I, with the other sign.
 
     Attributes:
         diagonals: multiple of M in the block of each waypoint, without the damping, (chunks, lanes).
@@ -477,13 +484,17 @@ class _Factor(NamedTuple):
         after: coupling with the next waypoint, or with the next first one that remains, (chunks, lanes).
         gains: gains of the joints, (chunks, n, 7 lanes).
         free: 1 for joints that move, 0 for those that are held, (chunks, n, lanes).
+        screws: screws of the joints, (chunks, n, 6 lanes).
+        ways: the ways between points, (chunks, m, 3 lanes).
     """
 
     diagonals: Array2
-    before: Array2
-    after: Array2
-    gains: Array3
+    before: Singles2
+    after: Singles2
+    gains: Singles3
     free: Array3
+    screws: Singles3
+    ways: Singles3
 
 
 @inlined
@@ -513,7 +524,7 @@ def _pack_chains(screws: Array3, points: Array3) -> tuple[Array3, Array3]:
 
 
 @subkernel
-def _couple(last: int, damping: float, chunks: int) -> tuple[Array2, Array2, Array2]:
+def _couple(last: int, damping: float, chunks: int) -> tuple[Array2, Singles2, Singles2]:
     """Eliminate waypoints as numbers; return diagonals and couplings of `_Factor`."""
     diagonals = np.full((chunks, LANES), 2.0 + damping)
     before = np.zeros((chunks, LANES))
@@ -553,7 +564,7 @@ def _couple(last: int, damping: float, chunks: int) -> tuple[Array2, Array2, Arr
                 diagonals[0, LANE_OF[segment + step]] -= right * right * share
             between[segment - step] = left * right * share
         step = 2 * step
-    return diagonals - damping, before, after
+    return diagonals - damping, before.astype(np.float32), after.astype(np.float32)
 
 
 @subkernel
@@ -702,24 +713,25 @@ def _solve_by_conjugate_gradients(
         factor: the preconditioner.
         right: right-hand side, (chunks, n, lanes).
         moves: motions to begin with, of joints only; improved.
-        aim: size of the residual at which to end, at least; 0: the motions are zero.
+        aim: size of the residual at which to end; 0: the motions are zero, and it is a share of theirs.
 
     Returns:
         Number of iterations, and that size.
     """
     residual = right.copy()
     product = np.empty(moves.shape)
-    forces = np.empty(moves.shape)
-    solved = np.empty(moves.shape)
+    forces = np.empty(moves.shape, np.float32)
+    solved = np.empty(moves.shape, np.float32)
     if aim > 0.0:
         for chunk in range(len(moves)):
             move_lanes((chains[0], chains[1][chunk], chains[2][chunk]), moves[chunk])
         _multiply(chains, rows, size, factor.free, moves, product)
         _add(residual, -1.0, product)
-    _precondition(chains, size, factor, residual, forces, solved)
-    direction = solved.copy()
+    _precondition(chains[0], size[0], factor, residual, forces, solved)
+    direction = solved.astype(np.float64)
     amount = _inner(right, residual, solved)
-    aim = max(aim, RELAXATION.conjugate_residual**2 * amount)
+    if aim == 0.0:
+        aim = RELAXATION.conjugate_residual**2 * amount
     for number in range(RELAXATION.conjugate_steps):
         if not amount > aim:
             return number, aim
@@ -727,7 +739,7 @@ def _solve_by_conjugate_gradients(
         length = amount / _inner(right, direction, product)
         _add(moves, length, direction)
         _add(residual, -length, product)
-        _precondition(chains, size, factor, residual, forces, solved)
+        _precondition(chains[0], size[0], factor, residual, forces, solved)
         before = amount
         amount = _inner(right, residual, solved)
         direction *= amount / before
@@ -736,7 +748,7 @@ def _solve_by_conjugate_gradients(
 
 
 @subkernel
-def _inner(like: Array3, one: Array3, other: Array3) -> float:
+def _inner(like: Array3, one: Array3, other: Array3 | Singles3) -> float:
     """Return the inner product of as many of the first rows as another array has."""
     sums = np.zeros(LANES)
     for chunk in range(len(like)):
@@ -747,7 +759,7 @@ def _inner(like: Array3, one: Array3, other: Array3) -> float:
 
 
 @subkernel
-def _add(filled: Array3, factor: float, added: Array3) -> None:
+def _add(filled: Array3, factor: float, added: Array3 | Singles3) -> None:
     """Add a multiple of as many of the first rows as there are."""
     for chunk in range(len(filled)):
         for u in range(filled.shape[1]):
@@ -756,21 +768,25 @@ def _add(filled: Array3, factor: float, added: Array3) -> None:
 
 
 @subkernel
-def _pass_on(filled: Array2, factors: Array1, weight: float, n: int, added: Array2) -> None:
+def _pass_on(
+    filled: Array2 | Singles2, factors: Array1 | Singles1, weight: float, n: int, added: Array2 | Singles2
+) -> None:
     """Add multiples of each lane, by the weight for the n joints."""
-    for row in range(len(filled)):
-        scale = weight if row < n else 1.0
+    for row in range(n):
         for i in range(LANES):
-            filled[row, i] += scale * factors[i] * added[row, i]
+            filled[row, i] += weight * factors[i] * added[row, i]
+    for row in range(n, len(filled)):
+        for i in range(LANES):
+            filled[row, i] += factors[i] * added[row, i]
 
 
 @subkernel
 def _pass_between(
-    filled: Array2,
-    factors: Array1,
+    filled: Array2 | Singles2,
+    factors: Array1 | Singles1,
     weight: float,
     n: int,
-    added: Array2,
+    added: Array2 | Singles2,
     step: int,
     offset: int,
     back: bool,
@@ -852,17 +868,20 @@ def _multiply(
 
 @subkernel
 def _precondition(
-    chains: Chunks, size: Size, factor: _Factor, right: Array3, forces: Array3, solved: Array3
+    ends: Ints1, joint_weight: float, factor: _Factor, right: Array3, forces: Singles3, solved: Singles3
 ) -> None:
     """Apply the preconditioner: eliminate one waypoint after another, then go back; `forces` is scratch."""
-    ends, screws, ways = chains
+    screws = factor.screws
+    ways = factor.ways
     chunks = len(screws)
     n = screws.shape[1]
-    weight = size[0]
+    weight = np.float32(joint_weight)
     heads = forces[0]
-    spare = np.empty((forces.shape[1], LANES))
+    spare = np.empty((forces.shape[1], LANES), np.float32)
     for chunk in range(chunks):
-        forces[chunk, :n] = right[chunk]
+        for u in range(n):
+            for i in range(LANES):
+                forces[chunk, u, i] = right[chunk, u, i]
         forces[chunk, n:] = 0.0
     for chunk in range(1, chunks):
         here = ends, screws[chunk], ways[chunk]

@@ -151,7 +151,7 @@ def test_joints_at_a_limit_are_held_and_the_others_are_optimal(seed: int) -> Non
     matrix = matrix[np.ix_(free, free)]
     right = right[free]
     best = decrease(matrix, right, np.linalg.solve(matrix, right))
-    assert decrease(matrix, right, step[free]) >= 0.999 * best
+    assert decrease(matrix, right, step[free]) >= 0.99 * best
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -175,3 +175,28 @@ def test_refined_waypoints_are_on_the_natural_spline(pieces: int, factor: int) -
     slopes = np.empty_like(x)
     kernels.spline_slopes(x, slopes)
     np.testing.assert_allclose(slopes, spline(np.arange(pieces + 1.0), 1), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_step_finds_which_contacts_count_after_it(seed: int) -> None:
+    """The model is piecewise quadratic then; its minimum by Newton steps that are halved until they lower it."""
+    problem = Problem(seed, 6, 20, 10.0, contacts=3)
+    errors = problem.contacts.errors * np.random.default_rng(seed).choice([1.0, -1.0], len(problem.owners))
+    problem.contacts = problem.contacts._replace(errors=np.ascontiguousarray(errors))
+    nothing = np.zeros(len(errors), dtype=np.bool_)
+    matrix, right = problem.equations(nothing)
+
+    def left(step: np.ndarray) -> np.ndarray:
+        moved = np.einsum("ij,ij->i", problem.matrix, step.reshape(-1, problem.n)[problem.owners - 1])
+        return np.maximum(errors - moved, 0.0)
+
+    def model(step: np.ndarray) -> float:
+        return 0.5 * float((left(step) ** 2).sum()) - decrease(matrix, right, step)
+
+    best = np.zeros(len(right))
+    for _ in range(50):
+        whole = np.linalg.solve(*problem.equations(left(best) > 0.0)) - best
+        best = min((best + 0.5**k * whole for k in range(20)), key=model)
+    found = model(problem.step()[1:-1].ravel())
+    start = model(np.zeros(len(right)))
+    assert start - found >= 0.97 * (start - model(best))

@@ -92,8 +92,8 @@ class Geodesic:
        within the same limits reduce the remaining errors.
 
     The path is replanned if the target changes, if the arm is away from its expected position, if it makes no
-    progress, or if an obstacle has left the goal that the path could not end at. An arm outside its position limits or inside an obstacle first returns, by the smallest
-    sufficient step.
+    progress, or if an obstacle has left the goal that the path could not end at. An arm outside its position
+    limits or inside an obstacle first returns, by the smallest sufficient step.
 
     If the constraints are infeasible, they are relaxed in this order, and `Step.violated_constraints`
     names them: tasks and posture, by their weights, tasks with priority last; then the margin to obstacles,

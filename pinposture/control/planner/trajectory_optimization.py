@@ -138,7 +138,7 @@ class HinderedSettings(NamedTuple):
     """How a path is relaxed where clearances or tasks count."""
 
     pieces: int = 48
-    """Number of pieces of a path with penalties."""
+    """Number of pieces of a path with penalties, from a guess or relaxed in fewer."""
 
     pieces_of_given: tuple[int, ...] = (32, 64, 128, 256)
     """Number of pieces of a path that is given, the first with which it is still clear."""
@@ -174,7 +174,13 @@ class HinderedSettings(NamedTuple):
     """Damping at which the search ends, relative to the mean diagonal of J^T J."""
 
     damping_decrease: float = 1.0 / 3.0
-    """Damping factor after a step that lowered the energy at once; see `Descent.keeps`."""
+    """Damping factor after a whole step that lowered the energy at once."""
+
+    least_share: float = 0.5
+    """Share of a step below which the next is damped more, as much as it would take to make it longer."""
+
+    most_increase: float = 10.0
+    """Largest damping factor then."""
 
     damping_increase: float = 30.0
     """Damping factor after a step that did not lower it, halved or not."""
@@ -193,21 +199,18 @@ class Descent(NamedTuple):
     Attributes:
         steps: largest number of steps.
         damping: initial damping, relative to the mean diagonal of J^T J.
-        converged: relative decrease of the energy in a step at which they end.
-        keeps: whether the damping stays after a step that was shortened.
+        converged: relative decrease of the energy at which they end, in a step that was not halved.
     """
 
     steps: int
     damping: float
     converged: float
-    keeps: bool
 
 
-FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-3, keeps=False)
-COARSE = Descent(steps=20, damping=1e-6, converged=1e-2, keeps=True)
-FINE = COARSE._replace(steps=10)
-WHOLE = COARSE._replace(steps=50, converged=1e-3)
-"""From a guess; from a given path in few pieces, then with each divided in two; and in many at once."""
+FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-2)
+COARSE = Descent(steps=20, damping=1e-6, converged=5e-2)
+FINE = Descent(steps=50, damping=1e-6, converged=1e-2)
+"""From a guess; from a given path in few pieces; and then in more, or at once in as many as it takes."""
 
 
 def direct_path(
@@ -266,17 +269,19 @@ def relax_path(
     spare = penalties.least + MOTION_TOLERANCE * objective.arm.length
     few = AMONG_OBSTACLES.pieces_of_given[0]
     coarse = _PathRelaxation(waypoints, penalties.for_pieces(few)._replace(least=spare))
+    fine = _PathRelaxation(waypoints, penalties)
     x = waypoints.space(offsets, few)
-    descent = FINE
     if coarse.is_clear(x):
-        x = waypoints.divide(coarse.run(x, COARSE))
+        relaxed = coarse.run(x, COARSE)
+        x = waypoints.space(objective.displacement(relaxed), AMONG_OBSTACLES.pieces)
+        if not fine.is_clear(x):
+            x = waypoints.divide(relaxed)
     else:
-        descent = WHOLE
         for pieces in AMONG_OBSTACLES.pieces_of_given[1:]:
             x = waypoints.space(offsets, pieces)
-            if _PathRelaxation(waypoints, penalties).is_clear(x):
+            if fine.is_clear(x):
                 break
-    relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
+    relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, FINE)
     smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
     first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, relaxed))
     return first, second
@@ -439,13 +444,16 @@ class _PathRelaxation:
             if tried is None:
                 damping *= AMONG_OBSTACLES.damping_increase
                 continue
-            converged = now.energy - tried.energy < descent.converged * now.scale
+            fall = (now.energy - tried.energy) / (share * (2.0 - share))
+            converged = halvings == 1 and fall < descent.converged * now.scale
             now = tried
             if halvings > 1:
                 reach = 0.5 ** (halvings - 1) * share * size
             elif share < 1.0:
                 reach = min(AMONG_OBSTACLES.growth * reach, AMONG_OBSTACLES.most_reach)
-            if halvings == 1 and (share == 1.0 or not descent.keeps):
+            if share < AMONG_OBSTACLES.least_share:
+                damping *= min(AMONG_OBSTACLES.least_share / share, AMONG_OBSTACLES.most_increase)
+            elif halvings == 1 and share == 1.0:
                 damping = max(damping * AMONG_OBSTACLES.damping_decrease, AMONG_OBSTACLES.least_damping)
             if converged:
                 break

@@ -246,8 +246,8 @@ def test_a_given_path_is_relaxed_in_few_pieces_and_then_in_more(
     smooth, found = relax_path(objective, start, detour, position_limits, Penalties())
     assert counts == sorted(counts)
     assert 0 < counts.count(32) <= COARSE.steps
-    assert 0 < counts.count(64) <= FINE.steps
-    assert found.end == 64
+    assert 0 < counts.count(48) <= FINE.steps
+    assert found.end == 48
     shortest = energy(two, start, way(two, start, goal).offsets, MU) * way(two, start, goal).end
     for path in (smooth, found):
         assert energy(two, start, path.offsets, MU) * path.end <= (1.0 + 2.0 * NEARLY) * shortest
