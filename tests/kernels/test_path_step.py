@@ -179,7 +179,7 @@ def test_refined_waypoints_are_on_the_natural_spline(pieces: int, factor: int) -
 
 @pytest.mark.parametrize("seed", range(12))
 def test_a_step_finds_which_contacts_count_after_it(seed: int) -> None:
-    """The model is piecewise quadratic then; its minimum by Newton steps that are halved until they lower it."""
+    """The model is piecewise quadratic; its minimum by Newton steps that are halved until they lower it."""
     problem = Problem(seed, 6, 20, 10.0, contacts=3)
     errors = problem.contacts.errors * np.random.default_rng(seed).choice([1.0, -1.0], len(problem.owners))
     problem.contacts = problem.contacts._replace(errors=np.ascontiguousarray(errors))
