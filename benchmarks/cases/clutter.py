@@ -197,12 +197,17 @@ KINDS_OF_CLUTTER: Mapping[str, Callable[[Arm, np.random.Generator], Drawn]] = Ma
 WITHOUT_A_WAY = ("closed",)
 """Kinds in which no path leads from the start to the goal, by proof."""
 
+FOR_ANY_ARM = ("balls", "posts")
+"""Kinds that an arm of any number of joints can meet."""
+
 KINDS_WITH_A_WAY = tuple(kind for kind in KINDS_OF_CLUTTER if kind not in WITHOUT_A_WAY)
 """All others."""
 
 
 def draw_problem(arm: Arm, kind: str, seed: int) -> Problem:
-    """Draw problems for the arm of `situation_arm` until start and goal are clear, without planning.
+    """Draw problems for an arm of 1 m until start and goal are clear, without planning.
+
+    For another arm than that of `situation_arm` only those of `FOR_ANY_ARM` are sure to be possible.
 
     Raises:
         UnknownName: there is no such kind.

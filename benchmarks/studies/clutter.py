@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases.clutter import KINDS_OF_CLUTTER, WITHOUT_A_WAY, draw_problem, with_joints
+from benchmarks.cases.clutter import (
+    FOR_ANY_ARM,
+    KINDS_OF_CLUTTER,
+    WITHOUT_A_WAY,
+    draw_problem,
+    with_joints,
+)
 from benchmarks.cases.situations import situation_arm
 from benchmarks.harness import Case, Problem, Row, Study, check_study, count, spread, summarise
 from benchmarks.report import Report, SeedOption, StudyOptions, split_names, spread_cell, table
@@ -24,7 +30,7 @@ from pinposture.arm import Arm
 from pinposture.cli.inputs import MOST_RUNS, MOTION
 from pinposture.cli.output import examples, print_note
 from pinposture.collision import CollisionModel, Scene
-from pinposture.control import Controller, Geodesic, JointPath, Limits, plan
+from pinposture.control import Controller, Geodesic, JointPath, Limits, plan, retime
 from pinposture.errors import InvalidValue
 from pinposture.motion import Run, track
 from pinposture.motion.run import path_length_ratio
@@ -39,9 +45,8 @@ DENSE_TURN = 0.01
 
 MAX_RUN_STEPS = 6000
 
-JOINTS = 40
-MOST_JOINTS = 1000
-"""Least and largest number of joints; the first is that of `situation_arm`."""
+LEAST_JOINTS, JOINTS, MOST_JOINTS = 6, 40, 1000
+"""Least, usual and largest number of joints; the second is that of `situation_arm`."""
 
 RUN_LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
 
@@ -55,8 +60,8 @@ def study_clutter(
         kinds: some of `KINDS_OF_CLUTTER`.
         seeds: number of problems of each kind.
         first_seed: seed of the first.
-        joints: number of joints of the arm, even; with others than 40, some postures are impossible, and
-            their problems do not count.
+        joints: number of joints of the arm, even; with more than 40, some postures are impossible, and their
+            problems do not count; with fewer, only balls and posts can be drawn.
 
     Raises:
         InvalidValue: no kind, or invalid numbers.
@@ -69,10 +74,12 @@ def study_clutter(
 def cases_of_clutter(kinds: Sequence[str], seeds: int, first_seed: int, joints: int = JOINTS) -> list[Case]:
     """Return problems for an arm of 1 m; arguments and errors as for `study_clutter`."""
     check_study(first_seed, seeds=seeds, kinds=kinds)
-    if joints % 2 or joints < JOINTS:
-        raise InvalidValue("joints", joints, f"an even number, {JOINTS} or more")
+    if joints % 2 or joints < LEAST_JOINTS:
+        raise InvalidValue("joints", joints, f"an even number, {LEAST_JOINTS} or more")
     for kind in kinds:
         require_known("kind of clutter", kind, KINDS_OF_CLUTTER)
+        if joints < JOINTS and kind not in FOR_ANY_ARM:
+            raise InvalidValue("kinds", kind, f"with fewer than {JOINTS} joints: {', '.join(FOR_ANY_ARM)}")
     return [
         Case({"kind": kind, "seed": seed}, partial(_draw, kind, seed, joints))
         for kind in kinds
@@ -81,6 +88,8 @@ def cases_of_clutter(kinds: Sequence[str], seeds: int, first_seed: int, joints: 
 
 
 def _draw(kind: str, seed: int, joints: int) -> Problem | None:
+    if joints < JOINTS:
+        return draw_problem(Arm.from_template("RyRz", joints // 2, (1.0 / joints, 1.0 / joints)), kind, seed)
     return with_joints(draw_problem(situation_arm(), kind, seed), joints)
 
 
@@ -98,6 +107,7 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
         first_time: processor time until a first clear path is known, or until planning ends [s].
         plan_time: processor time for planning [s].
         path_length_ratio: path length of the control points on the plan relative to straight lines.
+        duration: duration of the plan, from rest to rest [s].
         plan_clearance: smallest distance on the plan, every 0.01 rad [m].
         reached: whether `track` reached the goal within its velocity and acceleration limits.
         reason: why the run ended.
@@ -125,6 +135,7 @@ def solve_problem(problem: Problem, controller: Controller) -> Row:
         first_time=min([*clear, took]),
         plan_time=took,
         path_length_ratio=path_length_ratio(points),
+        duration=retime(path, RUN_LIMITS).duration,
         plan_clearance=dense_clearance(arm, scene, path.configurations),
         reached=run.converged and run.excess is None,
         reason=one_line(run.reason),
@@ -159,7 +170,7 @@ def by_kind(rows: Sequence[Row]) -> list[Row]:
     Returns:
         For each: the number of problems, of those planned, and of those reached; the smallest distance in
         any run, minus the margin (clearance) [m]; the spreads of the times for a first path and for
-        planning, and of path length ratio; and the number of plans found by each method.
+        planning, of path length ratio and duration; and the number of plans found by each method.
     """
     return summarise(
         rows,
@@ -171,6 +182,7 @@ def by_kind(rows: Sequence[Row]) -> list[Row]:
         first_time=spread("first_time"),
         plan_time=spread("plan_time"),
         path_length_ratio=spread("path_length_ratio"),
+        duration=spread("duration"),
         found_by=lambda rows: dict(Counter("no way" if row.blocked_by else row.found_by for row in rows)),
     )
 
@@ -183,6 +195,7 @@ _COLUMNS = {
     "first [s]": spread_cell("first_time", ".3f"),
     "planning [s]": spread_cell("plan_time", ".2f"),
     "path": spread_cell("path_length_ratio", ".2f"),
+    "lasts [s]": spread_cell("duration", ".1f"),
     "found by": lambda row: ", ".join(f"{name} {count}" for name, count in row.found_by.items()),
 }
 
@@ -203,7 +216,7 @@ def run(
     seeds: Annotated[int, MOTION("Number of problems of each kind.", "N", max=MOST_RUNS)] = 10,
     seed0: SeedOption = 0,
     joints: Annotated[
-        int, MOTION("Number of joints, even, 40 or more.", "N", min=JOINTS, max=MOST_JOINTS)
+        int, MOTION("Number of joints, even, 6 or more.", "N", min=LEAST_JOINTS, max=MOST_JOINTS)
     ] = JOINTS,
     options: StudyOptions,
 ) -> None:
@@ -215,8 +228,9 @@ def run(
     they are clear, by code that does not plan. A third of the starts are inside the hole, the pipe or the
     machine.
 
-    Room is the smallest distance in runs, every 0.01 rad, minus the margin. The processor times until a first
-    clear path is known and for the plan, and the path length ratio of the plan, are median (90th percentile).
+    Arms of fewer than 40 joints meet balls and posts only. Room is the smallest distance in runs, every
+    0.01 rad, minus the margin. Median (90th percentile) are the processor times until a first clear path is
+    known and for the plan, and the path length ratio and the duration of the plan.
     Problems that are unsolved, though a way exists, are listed, and those that are solved though none does.
     With -o, an animation of the first problem of each kind is also saved.
     """

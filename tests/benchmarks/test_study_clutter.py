@@ -68,6 +68,15 @@ def test_problems_are_drawn_for_more_joints_in_the_same_postures() -> None:
         study_clutter(["closed"], 1, joints=41)
 
 
+@pytest.mark.long
+def test_small_arms_meet_what_any_arm_can_meet() -> None:
+    (row,) = study_clutter(["balls"], 1, joints=6).rows()
+    assert row.planned and row.reached and row.run_clearance > row.margin - 1e-4
+    assert 0.5 < row.duration < 10.0
+    with pytest.raises(InvalidValue, match="kinds"):
+        study_clutter(["hole"], 1, joints=6)
+
+
 def test_dense_clearance_sees_what_is_between_two_configurations() -> None:
     arm = situation_arm()
     one, other = arm.straight(), arm.straight()
