@@ -266,7 +266,7 @@ def test_a_sagging_arm_with_a_task_comes_to_rest_and_does_not_stay_stalled() -> 
     sag = 0.03 * rng.normal(size=arm.nv)
     q = np.zeros(arm.nv)
     statuses = []
-    for _ in range(1250):
+    for _ in range(1700):
         tracker.step(q)
         statuses.append(tracker.report.status)
         q = q + 0.2 * (tracker.command + sag - q)

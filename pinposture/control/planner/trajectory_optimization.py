@@ -208,9 +208,11 @@ class Descent(NamedTuple):
 
 
 FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-2)
+WITH_TASKS = FROM_GUESS._replace(converged=1e-3)
 COARSE = Descent(steps=20, damping=1e-6, converged=5e-2)
 FINE = Descent(steps=50, damping=1e-6, converged=1e-2)
-"""From a guess; from a given path in few pieces; and then in more, or at once in as many as it takes."""
+"""From a guess, without tasks and with them: on a path that misses a task with priority the arm waits; from a
+given path in few pieces; and then in more, or at once in as many as it takes."""
 
 
 def direct_path(
@@ -242,7 +244,8 @@ def direct_path(
         relaxed = waypoints.relax(change, bend)
     else:
         guess = waypoints.interpolate(change, bend, AMONG_OBSTACLES.pieces)
-        relaxed = _PathRelaxation(waypoints, penalties).run(guess)
+        descent = FROM_GUESS if penalties.tasks is None else WITH_TASKS
+        relaxed = _PathRelaxation(waypoints, penalties).run(guess, descent)
     pieces = len(relaxed) - 1
     finer = max(STAGING.refinement, STAGING.least_pieces // pieces) * pieces
     smooth = waypoints.refine(relaxed, finer) if pieces > 1 else relaxed
@@ -419,7 +422,7 @@ class _PathRelaxation:
         path = self._objective.displacement(x)
         return avoidance is None or avoidance.keeps(self._start, path, self._penalties.least)
 
-    def run(self, x: Array, descent: Descent = FROM_GUESS) -> Array:
+    def run(self, x: Array, descent: Descent) -> Array:
         """Return waypoints at a minimum, (N + 1, n), from an initial guess within the limits."""
         now = self._checked(self._evaluate(x))
         damping = descent.damping
@@ -502,14 +505,17 @@ class _PathRelaxation:
             return now
         least = self._penalties.least
         offsets = self._objective.displacement(now.x)
-        clear = now.clear & avoidance.keeps_constraints(self._start, offsets)
+        clear = avoidance.keeps_constraints(self._start, offsets)
+        if before is not None and not before.clear.all():
+            clear &= now.clear
         if not clear.all() or now.near is None:
             return now._replace(clear=clear)
         known = np.zeros(len(clear), dtype=np.bool_)
         if before is not None and before.clear.all():
             still = (now.x == before.x).all(axis=1)
             known = still[:-1] & still[1:]
-        # A piece is clear if its ends are much nearer to each other than to obstacles.
+        # A piece is clear if its ends are much nearer to each other than to obstacles. It may be where contacts
+        # are too close: those of bodies without a closed form are between their bounding capsules.
         moved = np.sqrt((np.diff(now.points, axis=0) ** 2).sum(axis=2).max(axis=1))
         doubtful = (now.lowest - least < 2.0 * moved) & ~known
         kept = avoidance.clearance.keep_distance(self._start, offsets, least, doubtful, now.near)
