@@ -209,10 +209,11 @@ class Descent(NamedTuple):
 
 FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-2)
 WITH_TASKS = FROM_GUESS._replace(converged=1e-3)
-COARSE = Descent(steps=20, damping=1e-6, converged=5e-2)
-FINE = Descent(steps=50, damping=1e-6, converged=1e-2)
+COARSE = Descent(steps=12, damping=1e-6, converged=5e-2)
+FINE = COARSE._replace(steps=50, converged=3e-2)
+WHOLE = FINE._replace(converged=1e-2)
 """From a guess, without tasks and with them: on a path that misses a task with priority the arm waits; from a
-given path in few pieces; and then in more, or at once in as many as it takes."""
+given path in few pieces, then in more; and at once in as many as it takes."""
 
 
 def direct_path(
@@ -274,17 +275,19 @@ def relax_path(
     coarse = _PathRelaxation(waypoints, penalties.for_pieces(few)._replace(least=spare))
     fine = _PathRelaxation(waypoints, penalties)
     x = waypoints.space(offsets, few)
+    descent = FINE
     if coarse.is_clear(x):
         relaxed = coarse.run(x, COARSE)
         x = waypoints.space(objective.displacement(relaxed), AMONG_OBSTACLES.pieces)
         if not fine.is_clear(x):
             x = waypoints.divide(relaxed)
     else:
+        descent = WHOLE
         for pieces in AMONG_OBSTACLES.pieces_of_given[1:]:
             x = waypoints.space(offsets, pieces)
             if fine.is_clear(x):
                 break
-    relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, FINE)
+    relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
     smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
     first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, relaxed))
     return first, second
@@ -514,8 +517,8 @@ class _PathRelaxation:
         if before is not None and before.clear.all():
             still = (now.x == before.x).all(axis=1)
             known = still[:-1] & still[1:]
-        # A piece is clear if its ends are much nearer to each other than to obstacles. It may be where contacts
-        # are too close: those of bodies without a closed form are between their bounding capsules.
+        # A piece is clear if its ends are much nearer to each other than to obstacles. It may also be where a
+        # contact is too close: that is between bounding capsules, if bodies have no closed form.
         moved = np.sqrt((np.diff(now.points, axis=0) ** 2).sum(axis=2).max(axis=1))
         doubtful = (now.lowest - least < 2.0 * moved) & ~known
         kept = avoidance.clearance.keep_distance(self._start, offsets, least, doubtful, now.near)
