@@ -88,9 +88,9 @@ class PlanSettings(NamedTuple):
     """The same if the search has ended without a path. Of 295 problems of clutter with a way, the search of
     none did; of one with 400 joints that it missed, four relaxations found no path either."""
 
-    most_relaxed_joints: int = 400
-    """Number of joints above which no path is relaxed where the tree search found none: with 1,000 joints
-    beside a closed wall a step of a relaxation takes 3 s of processor time, the whole search 2 s."""
+    most_relaxed_joints: int = 200
+    """Number of joints above which no path is relaxed where the tree search found none: beside a closed wall
+    that takes 25 s of processor time and more with 400 joints, the whole search 2 s."""
 
     most_detour: float = 2.0
     """Length of a clear path, relative to the most direct one, above which the search looks for a
