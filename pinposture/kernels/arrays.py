@@ -23,7 +23,6 @@ Ints2 = Annotated[NDArray[np.int64], 2]
 Flags1 = Annotated[NDArray[np.bool_], 1]
 Flags2 = Annotated[NDArray[np.bool_], 2]
 Bytes1 = Annotated[NDArray[np.int8], 1]
-Singles1 = Annotated[NDArray[np.float32], 1]
 Halves1 = Annotated[NDArray[np.int32], 1]
 Words1 = Annotated[NDArray[np.uint64], 1]
 """C-contiguous arrays by number of dimensions: the types for which `kernels.compiled` compiles."""

@@ -322,7 +322,7 @@ def _add_force(state: Array2, forces: Array2, row: int) -> None:
 
 
 @subkernel
-def _store_motion(state: Array2, motions: Array2, row: int) -> None:
+def _store_motion(state: Array2 | Singles2, motions: Array2 | Singles2, row: int) -> None:
     """Fill in the motion of a point, in three rows."""
     for j in range(3):
         for i in range(LANES):
@@ -330,7 +330,7 @@ def _store_motion(state: Array2, motions: Array2, row: int) -> None:
 
 
 @subkernel
-def _shift_forces(state: Array2, ways: Array2, k: int) -> None:
+def _shift_forces(state: Array2 | Singles2, ways: Array2 | Singles2, k: int) -> None:
     """Convert moments about a point to those about the previous one."""
     for i in range(LANES):
         r0 = ways[k, i]
@@ -345,7 +345,7 @@ def _shift_forces(state: Array2, ways: Array2, k: int) -> None:
 
 
 @subkernel
-def _shift_motion(state: Array2, ways: Array2, k: int) -> None:
+def _shift_motion(state: Array2 | Singles2, ways: Array2 | Singles2, k: int) -> None:
     """Convert the velocity of the previous point to that of a point."""
     for i in range(LANES):
         r0 = ways[k, i]

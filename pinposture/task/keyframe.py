@@ -20,8 +20,8 @@ from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
 from pinposture.control.planner.damped_least_squares import PlanningProblem
+from pinposture.control.planner.goal import find_goal
 from pinposture.control.planner.objective import Objective
-from pinposture.control.planner.plan import find_goal
 from pinposture.control.reach import bring_to_goal
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import CURVES, Curve
