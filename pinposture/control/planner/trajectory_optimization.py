@@ -508,17 +508,14 @@ class _PathRelaxation:
             return now
         least = self._penalties.least
         offsets = self._objective.displacement(now.x)
-        clear = avoidance.keeps_constraints(self._start, offsets)
-        if before is not None and not before.clear.all():
-            clear &= now.clear
+        clear = now.clear & avoidance.keeps_constraints(self._start, offsets)
         if not clear.all() or now.near is None:
             return now._replace(clear=clear)
         known = np.zeros(len(clear), dtype=np.bool_)
         if before is not None and before.clear.all():
             still = (now.x == before.x).all(axis=1)
             known = still[:-1] & still[1:]
-        # A piece is clear if its ends are much nearer to each other than to obstacles. It may also be where a
-        # contact is too close: that is between bounding capsules, if bodies have no closed form.
+        # A piece is clear if its ends are much nearer to each other than to obstacles.
         moved = np.sqrt((np.diff(now.points, axis=0) ** 2).sum(axis=2).max(axis=1))
         doubtful = (now.lowest - least < 2.0 * moved) & ~known
         kept = avoidance.clearance.keep_distance(self._start, offsets, least, doubtful, now.near)

@@ -191,16 +191,16 @@ def test_a_path_bends_to_a_task_with_priority_that_moves(seed: int, scene: Scene
     assert np.linalg.norm(tip(state.q) - place) < 1e-6 * arm.length
 
 
-def test_steps_that_are_not_hindered_do_not_make_up_for_hindered_ones() -> None:
+def test_free_steps_do_not_make_up_for_steps_that_are_held_back() -> None:
     """An arm that swings to and fro takes such steps, too; only a share of the path is progress."""
     arm = arm_called("planar")
     path = pp.plan(arm.at(arm.straight()), pp.Target.from_configuration(arm, np.full(arm.nv, 0.2)))
     progress = PathProgress.begin(pp.retime(path, pp.Limits(step=0.05)))
     share = FOLLOWING.progress_share * path.end
-    progress = progress.moved_to(0.4 * share, travel=0.05, hindered=True)
-    progress = progress.moved_to(0.8 * share, travel=0.05, hindered=False)
+    progress = progress.moved_to(0.4 * share, travel=0.05, held_back=True)
+    progress = progress.moved_to(0.8 * share, travel=0.05, held_back=False)
     assert progress.idle_travel == 0.05
-    progress = progress.moved_to(0.8 * share, travel=0.05, hindered=True)
+    progress = progress.moved_to(0.8 * share, travel=0.05, held_back=True)
     assert progress.idle_travel == 0.1
-    progress = progress.moved_to(1.1 * share, travel=0.05, hindered=False)
+    progress = progress.moved_to(1.1 * share, travel=0.05, held_back=False)
     assert progress.idle_travel == 0.0
