@@ -288,6 +288,8 @@ def relax_path(
             if fine.is_clear(x):
                 break
     relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
+    if descent is FINE and not fine.is_clear(relaxed):  # bounding capsules did not find x clear
+        relaxed = x
     smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
     first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, relaxed))
     return first, second
