@@ -407,8 +407,9 @@ def step_waypoints(
     diagonals, before, after = _couple(last, damping, chunks)
     gains = np.empty((chunks, n, GAINS * LANES), np.float32)
     free = np.zeros((chunks, n, LANES))
-    singles = packed.astype(np.float32), ways.astype(np.float32)
-    factor = _Factor(diagonals, before, after, gains, free, singles[0], singles[1])
+    single_screws = packed.astype(np.float32)
+    single_ways = ways.astype(np.float32)
+    factor = _Factor(diagonals, before, after, gains, free, single_screws, single_ways)
     size = weight, damping * typical
     active = contacts.errors > 0.0
     wrenches = np.zeros((len(active), 2, 6))
@@ -473,7 +474,7 @@ Size = tuple[float, float]
 
 
 class _Factor(NamedTuple):
-    """The preconditioner, in single precision: it need not be exact, and is read in each iteration.
+    """The preconditioner. It need not be exact: what each iteration reads is in single precision.
 
     Couplings are multiples of J_i^T J_k + mu^2 I, with the other sign.
 
@@ -713,7 +714,7 @@ def _solve_by_conjugate_gradients(
         factor: the preconditioner.
         right: right-hand side, (chunks, n, lanes).
         moves: motions to begin with, of joints only; improved.
-        aim: size of the residual at which to end; 0: the motions are zero, and it is a share of theirs.
+        aim: size of the residual at which to end; 0: the motions are zero, it is a share of their residual.
 
     Returns:
         Number of iterations, and that size.

@@ -22,6 +22,7 @@ from pinposture.errors import (
     CurveOutOfReach,
     PostureWarning,
 )
+from pinposture.placement.least_squares import FitProblem
 
 WIDE = limit(-1e6, 1e6)
 
@@ -347,3 +348,20 @@ def test_points_that_a_base_has_to_drive_to_are_fitted():
     q = arm.configuration([40.0, -7.0, *np.linspace(-0.4, 0.5, 6)])
     found = pp.fit_points(arm, arm.at(q).points)
     assert found.residual.max() < 1e-6
+
+
+@pytest.mark.parametrize("template", ["Rz", "RyRz"])
+def test_a_fit_ends_at_a_step_that_changes_nothing(template: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = pp.Arm.from_template(template, modules=8)
+    curve = pp.Curve.spline(arm.length * np.array([[0, 0, 0], [0.3, 0.1, 0], [0.7, 0.1, 0], [1.2, 0, 0]]))
+    evaluate = FitProblem.evaluate
+    evaluations = []
+
+    def counted(problem: FitProblem, *arguments: object) -> object:
+        evaluations.append(problem)
+        return evaluate(problem, *arguments)
+
+    monkeypatch.setattr(FitProblem, "evaluate", counted)
+    target = pp.resolve_targets(arm, curve, method="closest")
+    assert target.residual.max() < 1e-12
+    assert len(evaluations) <= 16

@@ -199,7 +199,8 @@ class Descent(NamedTuple):
     Attributes:
         steps: largest number of steps.
         damping: initial damping, relative to the mean diagonal of J^T J.
-        converged: relative decrease of the energy at which they end, in a step that was not halved.
+        converged: they end when a whole step would lower the energy by less than this share of it, judged by
+            one that was shortened, but not halved.
     """
 
     steps: int
@@ -288,7 +289,8 @@ def relax_path(
             if fine.is_clear(x):
                 break
     relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
-    if descent is FINE and not fine.is_clear(relaxed):  # bounding capsules did not find x clear
+    # Where x is clear, but bounding capsules may be too close, it is not kept so.
+    if descent is FINE and not fine.is_clear(relaxed):
         relaxed = x
     smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
     first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, relaxed))
@@ -452,8 +454,9 @@ class _PathRelaxation:
             if tried is None:
                 damping *= AMONG_OBSTACLES.damping_increase
                 continue
-            fall = (now.energy - tried.energy) / (share * (2.0 - share))
-            converged = halvings == 1 and fall < descent.converged * now.scale
+            # On a parabola, a part s of the step to the minimum gains s (2 - s) of what the whole one does.
+            whole_fall = (now.energy - tried.energy) / (share * (2.0 - share))
+            converged = halvings == 1 and whole_fall < descent.converged * now.scale
             now = tried
             if halvings > 1:
                 reach = 0.5 ** (halvings - 1) * share * size
