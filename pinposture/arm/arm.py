@@ -1133,7 +1133,8 @@ class Arm(ConfigurationSpace):
             q: the configuration that the arm is to take, (nq,), or several, (N, nq).
 
         Returns:
-            The configuration to send to the drives, (nq,), or (N, nq), within the joint limits.
+            The configuration to send to the drives, (nq,), or (N, nq), within the joint limits: a joint that
+            would go less than 1e-6 of its unit beyond stays at its limit.
 
         Raises:
             NoEquilibrium: a posture that is not stable; names the joint that gives way.
@@ -1173,7 +1174,7 @@ class Arm(ConfigurationSpace):
         positions = state.raw_positions - state.deflection
         beyond = np.maximum(self.limits.lower - positions, positions - self.limits.upper) / self.joint_units
         worst = int(beyond.argmax())
-        if beyond[worst] > ROUNDING:
+        if beyond[worst] > CONVERGED:
             unit = "m" if self.in_metres[worst] else "rad"
             low = self.limits.lower[worst]
             high = self.limits.upper[worst]
@@ -1185,7 +1186,8 @@ class Arm(ConfigurationSpace):
         if np.abs(reached).max() > CONVERGED:
             joint = self.joint_names[int(np.abs(reached).argmax())]
             raise NoEquilibrium(name, joint)
-        return command
+        within = np.clip(positions, self.limits.lower, self.limits.upper)
+        return self.integrate(command, within - positions)
 
     def inverse_dynamics(self, q: ArrayLike, velocities: ArrayLike, accelerations: ArrayLike) -> Array:
         """Compute the torques and forces with which the motors move the arm.

@@ -333,6 +333,15 @@ def test_a_command_beyond_its_limits_is_refused_by_name() -> None:
     )
 
 
+def test_a_command_that_is_barely_beyond_a_limit_stays_at_it() -> None:
+    """An arm with a joint at its limit is not refused for a motion that no drive resolves."""
+    arm = pp.Arm.load(pendulum(limit=0.5)).with_stiffness(1e7)
+    assert arm.compensate([-0.5])[0] == -0.5
+    assert arm.compensate([0.5])[0] == pytest.approx(0.5 - 2.0 * 0.3 * G * np.cos(0.5) / 1e7, abs=1e-12)
+    with pytest.raises(InvalidValue, match="beyond"):
+        arm.with_stiffness(1e6).compensate([-0.5])
+
+
 @pytest.mark.parametrize("call", ["sag", "compensate"])
 @pytest.mark.parametrize("q", [[0.0], [np.nan] * 8, "x", None, np.zeros((2, 7)), np.zeros((1, 2, 8))])
 def test_what_is_no_configuration_is_refused(call: str, q) -> None:
