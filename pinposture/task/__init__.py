@@ -1,5 +1,6 @@
 """Motions over time: keyframes, following the leader, and coming out again."""
 
+from pinposture.task.carrier_feed import CarrierFeed
 from pinposture.task.find_path import find_path
 from pinposture.task.follow_leader import Deviation, Leader, follow_leader, path_deviation
 from pinposture.task.keyframe import Keyframe
@@ -13,6 +14,7 @@ from pinposture.task.task import Task
 from pinposture.task.wrap import Grip, Wrapping, carry, unwrap, wrap
 
 __all__ = [
+    "CarrierFeed",
     "Carrying",
     "Deviation",
     "Grip",

@@ -49,7 +49,7 @@ def test_every_snippet_in_python_or_toml_is_known_here() -> None:
     assert counts == {
         "tasks.md": [4, 4, 0, 0],
         "trajectories.md": [1, 0, 1, 1],
-        "follow_leader.md": [2, 0, 0, 0],
+        "follow_leader.md": [4, 0, 0, 0],
         "physics.md": [2, 0, 0, 0],
     }
 
@@ -181,7 +181,7 @@ def test_a_motion_in_three_formats(in_a_folder: Path) -> None:
 
 
 def test_follow_the_leader_in_python(capsys: pytest.CaptureFixture) -> None:
-    code, steered = snippets("follow_leader.md", "python")
+    code, steered, carried, drum = snippets("follow_leader.md", "python")
     for long, short in (
         ("] * 20", "] * 6"),
         ("interval=0.1, speed=0.05", "interval=0.4, speed=0.05, depth=0.1"),
@@ -192,6 +192,12 @@ def test_follow_the_leader_in_python(capsys: pytest.CaptureFixture) -> None:
     assert known["motion"].converged
     assert np.isfinite(float(capsys.readouterr().out))
     assert run(steered, **known)["steering"].depth > 0.1
+    capsys.readouterr()
+    both = run(carried.replace("] * 10", "] * 4").replace("depth=0.3", "depth=0.1"), **known)["both"]
+    assert len(both.joint_names) == 6 + 8
+    turned = run(drum.replace("speed=0.03", "speed=0.03, depth=0.1"), **known)["turned"]
+    assert turned.positions[-1, 0] == pytest.approx(0.1 / 0.08)
+    assert np.abs(turned.velocities[:, 0]).max() < 0.5 + 1e-6
 
 
 @pytest.mark.long
