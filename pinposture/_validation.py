@@ -23,8 +23,6 @@ SMALLEST_NUMBER = 1e-30
 """Largest number of any kind, smallest one above 0; no product of ten of them over- or underflows."""
 LARGEST_COORDINATE = 1e9
 """Largest coordinate [m] and joint position [rad or m]; where an arm is known, see `Arm.require_near`."""
-SAME_POINT_ROUNDING = 1e-10
-"""Distance below which two points are one, relative to their coordinates."""
 LARGEST_LENGTH = 1e4
 """Largest coordinate or size of an obstacle [m]; larger squares lose the digits that distances need."""
 SMALLEST_LENGTH = 1e-9
@@ -201,7 +199,8 @@ def check_distinct(points: NDArray[np.float64], name: Callable[[int], str] = "po
         CurveError: naming both points.
     """
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    tolerance = max(ROUNDING * extent, SAME_POINT_ROUNDING * float(np.abs(points).max()), SMALLEST_LENGTH)
+    rounding = 1e-10 * float(np.abs(points).max())
+    tolerance = max(ROUNDING * extent, rounding, SMALLEST_LENGTH)
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     repeated = np.flatnonzero(gaps <= tolerance)
     if repeated.size:

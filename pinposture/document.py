@@ -36,9 +36,6 @@ SUFFIXES = (".toml", ".json")
 MAX_NESTING = 20
 """Largest depth of nested tables and lists; three times that of a task file."""
 
-MAX_INTEGER_BITS = 64
-"""Largest size of a whole number, as in TOML."""
-
 _TOML_ERROR = re.compile(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", re.DOTALL)
 
 
@@ -76,8 +73,8 @@ def _check_size(path: Path, key_path: KeyPath, value: Any) -> None:
     if len(key_path) > MAX_NESTING:
         reason = f"is nested too deep; allowed: {MAX_NESTING} levels of tables and lists"
         raise FileError(path, f"{key_path_in_words(key_path)}: {reason}")
-    if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
-        reason = f"is a whole number of more than {MAX_INTEGER_BITS} bits"
+    if isinstance(value, int) and value.bit_length() > 64:  # as in TOML
+        reason = "is a whole number of more than 64 bits"
         raise FileError(path, f"{key_path_in_words(key_path)}: {reason}")
     if isinstance(value, Mapping | list):
         items = value.items() if isinstance(value, Mapping) else enumerate(value)

@@ -13,9 +13,6 @@ from typing import Any
 
 from pinposture.units import length_text
 
-LONGEST_MESSAGE = 4000
-"""Length of a message, beyond which its middle is left out: names of files may have any length."""
-
 
 def _rebuild(cls: type[PostureError], args: tuple[Any, ...], data: dict[str, Any]) -> PostureError:
     error = cls.__new__(cls, *args)
@@ -39,8 +36,9 @@ class PostureError(Exception):
 
     def __str__(self) -> str:  # KeyError and OSError would format the message in their own ways
         text = str(self.args[0]) if self.args else ""
-        half = LONGEST_MESSAGE // 2
-        return text if len(text) <= LONGEST_MESSAGE else f"{text[:half]} ... {text[-half:]}"
+        longest = 4000  # names of files may have any length
+        half = longest // 2
+        return text if len(text) <= longest else f"{text[:half]} ... {text[-half:]}"
 
 
 def gather(*checks: Callable[[], object]) -> list[PostureError]:
@@ -79,23 +77,16 @@ class PostureWarning(UserWarning):
     """An input was interpreted or corrected in a way that the user may not expect."""
 
 
-LIBRARY = frozenset({"pinposture", "functools", "contextlib", "pydantic"})
-"""Modules that warnings do not point to: this package, and those that call it from within itself."""
-
-
-MAX_REMEMBERED = 1000
-"""Number of warnings of a module that Python remembers, not to repeat them; a loop may give millions."""
-
-
 def warn_caller(message: str) -> None:
     """Issue a PostureWarning that points to the line outside of this package from which it was called."""
+    between = {"pinposture", "functools", "contextlib", "pydantic"}  # and what calls it from within itself
     level = 2
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in LIBRARY:
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").split(".")[0] in between:
         level = level + 1
         frame = frame.f_back
     shown: dict[object, object] = frame.f_globals.get("__warningregistry__", {})
-    if len(shown) > MAX_REMEMBERED:
+    if len(shown) > 1000:  # Python remembers warnings, not to repeat them; a loop may give millions
         shown.clear()
     warnings.warn(message, PostureWarning, stacklevel=level)
 

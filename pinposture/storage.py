@@ -87,17 +87,6 @@ def read_text(path: Path) -> str:
         raise FileError(path, f"is not UTF-8 text (byte {error.start})") from None
 
 
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16, whose mark is the beginning of it
-    (codecs.BOM_UTF32_BE, "utf-32"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-    ("<?".encode("utf-16-le"), "utf-16-le"),
-    ("<?".encode("utf-16-be"), "utf-16-be"),
-)
-"""First bytes of XML, and the encoding that they mean whatever is declared."""
-
 _DECLARATION = re.compile(r"""(\s*<\?xml\b[^>]*?)\s+encoding\s*=\s*(["'])\s*([A-Za-z0-9._:-]*)\s*\2""")
 
 
@@ -125,7 +114,17 @@ def decode_xml(content: bytes, source: str | Path) -> str:
     """
     head = content[:400]  # a declaration comes first
     declared = _DECLARATION.match(head.decode("latin-1"))
-    marked = next((name for label, name in _MARKS if head.startswith(label)), None)
+    # First bytes, and the encoding that they mean whatever is declared.
+    marks = (
+        (codecs.BOM_UTF8, "utf-8-sig"),
+        (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16, whose mark is the beginning of it
+        (codecs.BOM_UTF32_BE, "utf-32"),
+        (codecs.BOM_UTF16_LE, "utf-16"),
+        (codecs.BOM_UTF16_BE, "utf-16"),
+        ("<?".encode("utf-16-le"), "utf-16-le"),
+        ("<?".encode("utf-16-be"), "utf-16-be"),
+    )
+    marked = next((name for label, name in marks if head.startswith(label)), None)
     encoding = marked or (declared[3] if declared else "utf-8")
     if marked is None and encoding.lower().startswith(("utf-16", "utf16", "utf-32", "ucs", "iso-10646-ucs")):
         encoding = "utf-8"  # a declaration of single bytes contradicts itself

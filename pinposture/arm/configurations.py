@@ -21,8 +21,6 @@ NO_LIMIT = 1e9
 """A limit this large [rad, m, rad/s or m/s] means none: files use 1e16 or the largest float for that."""
 MOST_MOVING = 5_000
 """Most moving joints of a description: 4,000 take Pinocchio 18 s and 0.6 GB, 10,000 take 4 min and 3 GB."""
-MOST_LINKS = 10_001
-"""Most links of a description: 10,000 joints in a row, all but one fixed, take Pinocchio 15 s."""
 SLACK = 1e-4
 """How far outside its limits a joint may be without a warning [rad or m]: rounding to four digits."""
 
@@ -40,10 +38,11 @@ class DegreesSettings(NamedTuple):
     wound: float = 4.0 * FULL_TURN
     """Position beyond which a joint without limits suggests that positions are in degrees [rad]."""
 
+    hint: str = "is it in degrees? np.deg2rad converts to radians (--degrees on the command line)"
+    """What is said then."""
+
 
 DEGREES = DegreesSettings()
-
-DEGREES_HINT = "is it in degrees? np.deg2rad converts to radians (--degrees on the command line)"
 
 
 class JointLimits(NamedTuple):
@@ -240,7 +239,7 @@ def check_joint_positions(
         which = f"joint {joints[worst]!r}"
         if in_degrees:
             more = f", and {outside - 1} more joints are outside theirs" if outside > 1 else ""
-            reason = f"{allowed}, the limits of {which}{more}; {DEGREES_HINT}"
+            reason = f"{allowed}, the limits of {which}{more}; {DEGREES.hint}"
             raise InvalidValue(f"{name}[{worst}]", float(positions[worst]), reason)
         count = f"{outside} joints" if outside > 1 else "a joint"
         at = f"{which} is at {positions[worst]:.4g}, allowed {allowed}"
@@ -251,7 +250,7 @@ def check_joint_positions(
         worst = int(np.argmax(np.where(free, np.abs(positions), 0.0)))
         count = f"{np.count_nonzero(wound)} joints without limits"
         turns = f"{count} are wound by more than {DEGREES.wound / FULL_TURN:g} turns"
-        warn_caller(f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}")
+        warn_caller(f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES.hint}")
 
 
 def plausible_positions(limits: JointLimits, slides: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -61,8 +61,6 @@ _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
 }
 _OWNERS = (str, dict, list, tuple, set, frozenset, int, float, complex)
 """Kinds of values whose methods expressions may call."""
-_UNBOUNDED = ("expandtabs", "format_map", "to_bytes", "translate")
-"""Their methods whose results may be of any size, whatever they are called with."""
 _BOUNDED = ("comb", "factorial", "load_yaml", "perm", "prod", "range", "round", "sum", "tokenize", "vars")
 """Functions that are called after a look at their arguments."""
 
@@ -154,7 +152,7 @@ class Expressions:
             raise OutOfBounds(f"uses .{name}; names with an underscore in front are not allowed")
         if hasattr(value, "top") and isinstance(value, dict):  # a namespace of xacro
             return getattr(value, name) if name in value else _undefined(name)
-        if name in _UNBOUNDED:
+        if name in ("expandtabs", "format_map", "to_bytes", "translate"):  # results may be of any size
             raise OutOfBounds(f"calls .{name}, which is not allowed")
         if any(value is kind for kind in _OWNERS):
             return lambda each, *given, **named: self.attribute(each, name)(*given, **named)
@@ -328,15 +326,13 @@ class _Format(Formatter):
 def _compiled(expression: str) -> CodeType:
     """Return code of a function of guards (see `Expressions`), with these in place of what is not bounded."""
     tree = ast.parse(expression, "<expression>", "eval")
-    names = [ast.arg(arg=name) for name in _GUARDS]
+    # No expression can write such names.
+    guards = ("<operate>", "<call>", "<attribute>", "<checked>", "<formatted>", "<step>")
+    names = [ast.arg(arg=name) for name in guards]
     arguments = ast.arguments(posonlyargs=[], args=names, kwonlyargs=[], kw_defaults=[], defaults=[])
     guarded = ast.Lambda(args=arguments, body=_Guarded().visit(tree.body))
     whole = ast.fix_missing_locations(ast.Expression(body=guarded))
     return compile(whole, "<expression>", "eval")
-
-
-_GUARDS = ("<operate>", "<call>", "<attribute>", "<checked>", "<formatted>", "<step>")
-"""Names of the guards, which no expression can write."""
 
 
 class _Guarded(ast.NodeTransformer):

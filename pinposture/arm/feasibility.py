@@ -24,9 +24,6 @@ QUARTER_TURN = np.pi / 2
 
 With fewer than four modules per turn, the control points no longer resolve the shape of the curve: each may
 lie on the curve while the chain cuts across its loops."""
-MIN_BEND = 0.1
-"""Bend of a curve within one module below which it counts as straight [rad]: it deviates from its chord by
-less than 1/80 of the module length."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +110,9 @@ def _weighted_torsion(s: Array, curvature: Array, torsion: Array, span: float) -
         return np.asarray(np.interp(high, s, sums) - np.interp(low, s, sums))
 
     bend = integral(curvature)
-    return np.where(bend > MIN_BEND, integral(curvature * torsion) / np.maximum(bend, MIN_BEND), 0.0)
+    # With less bend within a module, a curve deviates from its chord by less than 1/80 of the module length.
+    least = 0.1
+    return np.where(bend > least, integral(curvature * torsion) / np.maximum(bend, least), 0.0)
 
 
 def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) -> float:

@@ -40,9 +40,6 @@ from pinposture.arm.urdf import CHAIN_JOINTS, JointDescription, is_urdf_text, qu
 from pinposture.errors import InvalidValue, URDFError, enumerated
 from pinposture.units import length_text
 
-ALLOWED_LENGTHS = (1e-9, 1e9)
-"""Shortest and longest accepted chain [m]; beyond these, squared lengths could under- or overflow."""
-
 
 class SuspectDescription(NamedTuple):
     """Which lengths and limits of a description seem to be in another unit."""
@@ -176,8 +173,10 @@ def _check_length(length: float, source: str, chain: str) -> None:
     """Raise URDFError unless the length of a chain [m] is allowed."""
     if length == 0.0:
         raise URDFError(source, chain, "has zero length: all its joints and its tip coincide")
-    if not ALLOWED_LENGTHS[0] <= length <= ALLOWED_LENGTHS[1]:
-        allowed = f"{ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
+    least = 1e-9  # beyond these, squared lengths could under- or overflow
+    most = 1e9
+    if not least <= length <= most:
+        allowed = f"{least:g} to {most:g} m"
         raise URDFError(source, chain, f"is {length_text(length)} long; allowed: {allowed}")
 
 

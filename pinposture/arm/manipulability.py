@@ -16,9 +16,6 @@ Array = NDArray[np.float64]
 ControlPoints = int | str | Sequence[int | str]
 """One or several control points, by index, 0-based or negative from the tip, or by name."""
 
-SECTIONS = ("base", "previous")
-"""Start of the moving section: the base, or the previous chosen control point."""
-
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
@@ -107,8 +104,8 @@ def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...
 
 
 def section_bases(chosen: Sequence[int], relative_to: str) -> tuple[int, ...]:
-    """Return the start of the section of each chosen control point; see `Ellipsoid.base` and `SECTIONS`."""
-    require_known("start of a section", relative_to, SECTIONS)
+    """Return the start of the section of each chosen control point; see `Ellipsoid.base`."""
+    require_known("start of a section", relative_to, ("base", "previous"))
     if relative_to == "base":
         return (0,) * len(chosen)
     return tuple(max((other + 1 for other in chosen if other < point), default=0) for point in chosen)

@@ -22,9 +22,6 @@ from pinposture.units import CONVERGED
 Array = NDArray[np.float64]
 Chosen = TypeVar("Chosen", bound=Callable[..., object])
 
-ACROSS = 1e-3
-"""Sine of the smallest angle between a joint axis and the module axis at which the joint bends the module."""
-
 
 @runtime_checkable
 class ModuleKinematics(Protocol):
@@ -174,8 +171,9 @@ def _base_frame(span: Array, axes: Array) -> Array:
     x = span / length if length > 0.0 else axes[0]
     across = axes - np.outer(axes @ x, x)
     sizes = np.linalg.norm(across, axis=1)
-    first = int(np.argmax(sizes > ACROSS))
-    y = across[first] if sizes[first] > ACROSS else np.cross(x, np.eye(3)[np.argmin(np.abs(x))])
+    least = 1e-3  # sine of the angle between the axis of a joint and of the module at which it bends that
+    first = int(np.argmax(sizes > least))
+    y = across[first] if sizes[first] > least else np.cross(x, np.eye(3)[np.argmin(np.abs(x))])
     y = y / np.linalg.norm(y)
     return np.column_stack([x, y, np.cross(x, y)])
 

@@ -10,9 +10,6 @@ from pinposture.arm.urdf import parse_xml
 from pinposture.errors import PostureError
 from pinposture.storage import read_xml
 
-MODEL_PATHS = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
-"""Environment variables with folders of packages or models, the first of a list first."""
-
 _MANIFEST = "package.xml"
 
 
@@ -24,7 +21,8 @@ def package_folders(folders: Iterable[str | Path]) -> list[Path]:
 
 def model_folders(folders: Iterable[str | Path]) -> list[Path]:
     """Return the folders in which to search for models of Gazebo: those of packages, then its own."""
-    of_gazebo = [folder for variable in MODEL_PATHS for folder in _listed(variable)]
+    variables = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
+    of_gazebo = [folder for variable in variables for folder in _listed(variable)]
     return [*package_folders(folders), *of_gazebo]
 
 

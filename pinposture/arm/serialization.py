@@ -43,11 +43,6 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
 }
 """Types of joints as Pinocchio names them, without "JointModel", and the arguments of their constructors."""
 
-_ENDLESS_JOINT = (
-    '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
-    '<child link="b"/><axis xyz="{!r} {!r} {!r}"/></joint></robot>'
-)
-
 
 def _unit_vector(name: str, value: ArrayLike) -> tuple[float, ...]:
     vector = finite_array(name, value, (3,))
@@ -339,8 +334,12 @@ def _endless_joint(axis: Array) -> pin.JointModel:
     Python can make one (Pinocchio 4.1) from a description only. Its axis is normalized, which can change the
     last digit, but not for every multiple of the axis.
     """
+    described = (
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
+        '<child link="b"/><axis xyz="{!r} {!r} {!r}"/></joint></robot>'
+    )
     for multiple in range(1, 20_000, 2):  # of 2,000 random axes the worst took 1,031
-        model = pin.buildModelFromXML(_ENDLESS_JOINT.format(*(multiple * axis).tolist()))
+        model = pin.buildModelFromXML(described.format(*(multiple * axis).tolist()))
         joint = model.joints[1]
         if np.array_equal(np.ravel(joint.createData().S)[3:], axis):
             break

@@ -40,7 +40,6 @@ _UNIT_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
 _FULL_TURN = (-math.pi, math.pi)
 _NO_LIMITS = (-math.inf, math.inf)
-_COLOURS = {"joint": (0.25, 0.27, 0.3, 1.0), "odd": (0.93, 0.55, 0.14, 1.0), "even": (0.9, 0.9, 0.88, 1.0)}
 
 DENSITY = 1000.0
 """Density of every link [kg/m^3]."""
@@ -351,7 +350,8 @@ def modules_to_urdf(
     if not isinstance(command, str) or "--" in command or not command.isprintable():
         raise InvalidValue("command", command, "printable text without '--', which would end the comment")
     robot = ET.Element("robot", name=name)
-    for colour, shade in _COLOURS.items():
+    colours = {"joint": (0.25, 0.27, 0.3, 1.0), "odd": (0.93, 0.55, 0.14, 1.0), "even": (0.9, 0.9, 0.88, 1.0)}
+    for colour, shade in colours.items():
         material = ET.SubElement(robot, "material", name=colour)
         ET.SubElement(material, "color", rgba=numbers_text(shade))
     _write_chain(robot, listed)

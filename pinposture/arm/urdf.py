@@ -39,7 +39,6 @@ URDF_TEXT = "URDF text"
 """What error messages call a description that is not from a file."""
 
 _BLANK = "\ufeff \t\r\n"
-_MAX_DEPTH = 400  # Pinocchio's XML parser fails slightly below 500
 _SPLIT_VECTOR = re.compile(
     r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<\t\r\n]*[\t\r\n][^"<]*"|'[^'<\t\r\n]*[\t\r\n][^'<]*')"""
 )
@@ -221,11 +220,12 @@ def parse_xml(text: str, source: str) -> Element:
     except UnicodeEncodeError as error:
         raise URDFError(source, f"character {error.start}", "is half of a surrogate pair") from None
     root = builder.close()
+    most = 400  # Pinocchio's XML parser fails slightly below 500
     level = [root]
-    for _ in range(_MAX_DEPTH):
+    for _ in range(most):
         level = [child for element in level for child in element]
     if level:
-        raise URDFError(source, f"<{level[0].tag}>", f"is nested too deep; allowed: {_MAX_DEPTH} levels")
+        raise URDFError(source, f"<{level[0].tag}>", f"is nested too deep; allowed: {most} levels")
     return root
 
 

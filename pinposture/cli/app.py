@@ -34,9 +34,6 @@ from pinposture.cli import (
 from pinposture.cli.output import print_error, verb_examples, warnings_as_notes
 from pinposture.errors import ControllerError, InvalidValue, PostureError
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as in shells."""
-
 REFUSED = 2
 """Exit code after wrong usage or unusable input."""
 
@@ -69,7 +66,7 @@ class Commands(TyperGroup):
             print_error(f"{reason} ({error.strerror or error})")
             code = REFUSED
         except typer.Abort:  # Ctrl-C in older versions of Typer; newer ones return the code
-            code = INTERRUPTED
+            code = 130  # as in shells
         if standalone_mode:
             sys.exit(code)
         return code

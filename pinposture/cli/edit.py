@@ -21,11 +21,6 @@ if TYPE_CHECKING:
     from pinposture.arm import Arm
     from pinposture.task import Task
 
-BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-"""Numbers of threads of linear algebra libraries, 1 by default: the matrices are small, and threads that wait
-for each other slow down the other parts of the editor."""
-
-
 MODULES = 20
 """Default number of modules of an arm from a template."""
 
@@ -82,7 +77,9 @@ def run(
     Any number of browsers can watch and edit, with the printed address, which ends in a secret. They open and
     save files in one folder only. The editor runs until Ctrl-C.
     """
-    for name in BLAS:  # numpy reads them when it is imported, which is below
+    # Matrices are small, and threads of linear algebra that wait for each other slow down the other parts of
+    # the editor. Numpy reads these when it is imported, which is below.
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
         os.environ.setdefault(name, "1")
     from pinposture.editor import Editor
     from pinposture.editor.files import autosave_path

@@ -13,8 +13,6 @@ from pinposture.cli.output import examples, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
 from pinposture.units import length_text
 
-MOST_MODULES = 10_000
-
 
 @examples(
     "pinposture generate --list",
@@ -60,8 +58,8 @@ def run(
     if template is None:
         raise InvalidValue("TEMPLATE", template, "a kind of module; pinposture generate --list shows them")
     module = template_named(template)
-    if modules is None or not 1 <= modules <= MOST_MODULES:
-        raise InvalidValue("--modules", modules, f"a whole number from 1 to {MOST_MODULES}")
+    if modules is None or not 1 <= modules <= 10_000:
+        raise InvalidValue("--modules", modules, "a whole number from 1 to 10000")
     if link_lengths is not None:
         module = module.with_lengths(read_numbers("--link-lengths", link_lengths))
     chain = [module] * modules

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from pinposture.placement import Target
 
 STARTS = ("straight", "smooth", "random")
-LISTS = (".npy", ".csv", ".json")
-"""Suffixes of files with the numbers of a start."""
 
 
 @dataclass(frozen=True)
@@ -360,17 +358,14 @@ class StartOptions:
             # largest joint position [rad or m]
             drawn = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))
             return _bend_until_clear(arm, drawn, scene, f"a smooth random posture, seed {seed}")
+        suffixes = (".npy", ".csv", ".json")
         try:
-            listed = Path(text).suffix.lower() in LISTS
+            listed = Path(text).suffix.lower() in suffixes
             values = _read_file(Path(text)) if listed else read_numbers("start", text)
         except InvalidValue:
-            allowed = (*STARTS, *(f"a {suffix} file" for suffix in LISTS), "numbers separated by commas")
+            allowed = (*STARTS, *(f"a {suffix} file" for suffix in suffixes), "numbers separated by commas")
             raise UnknownName("start", text, allowed) from None
         return Start(as_configuration(arm, values, "start", self.degrees), f"as given by --start {text}")
-
-
-STRAIGHTER = 40
-"""Number of equal steps in which a start that is not clear is bent less, down to the straight arm."""
 
 
 def _bend_until_clear(arm: Arm, q: NDArray[np.float64], scene: Scene, words: str) -> Start:
@@ -379,8 +374,9 @@ def _bend_until_clear(arm: Arm, q: NDArray[np.float64], scene: Scene, words: str
 
     model = CollisionModel(arm, scene)
     way = arm.difference(q, arm.straight())
-    for step in range(STRAIGHTER):
-        share = step / STRAIGHTER
+    steps = 40
+    for step in range(steps):
+        share = step / steps
         start = arm.integrate(q, share * way)
         if model.minimum(start).distance >= scene.margin:
             bent = f", bent only {100.0 * (1.0 - share):.3g} % as much, to be clear" if step else ""

@@ -130,28 +130,6 @@ class CurveOptions:
     scale: ScaleOption = 1.0
 
 
-_JOINTS = {
-    "module": "module",
-    "joint": "name",
-    "type": "type",
-    "parent": "parent",
-    "child": "child",
-    "axis": "axis",
-    "lower": "lower",
-    "upper": "upper",
-    "speed": "velocity",
-}
-"""Headings of the table of joints, and the keys of the values below them; likewise the following."""
-_MEASURES = {
-    "module": "module",
-    "control point": "name",
-    "measure": "measure",
-    "condition": "condition",
-    "min. singular value": "minimum_singular_value",
-    "index": "index",
-}
-
-
 def _print_tables(about: Mapping[str, Any]) -> None:
     coupled = sum("follows" in joint for joint in about["joints"])
     counts = Counter(about["kinematics"])
@@ -177,7 +155,19 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
     print_facts({**facts, **notes})
-    joints = _JOINTS | ({"follows": "follows", "ratio": "ratio", "offset": "offset"} if coupled else {})
+    # Headings of tables, and the keys of the values below them.
+    joints = {
+        "module": "module",
+        "joint": "name",
+        "type": "type",
+        "parent": "parent",
+        "child": "child",
+        "axis": "axis",
+        "lower": "lower",
+        "upper": "upper",
+        "speed": "velocity",
+        **({"follows": "follows", "ratio": "ratio", "offset": "offset"} if coupled else {}),
+    }
     told = [
         {**joint, "axis": " ".join(f"{round(x, 4) + 0.0:g}" for x in joint["axis"])}
         for joint in about["joints"]
@@ -190,7 +180,15 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     )
     # As text, because a table shows infinite numbers as missing.
     told = [{**one, "condition": f"{one['condition']:.4g}"} for one in about["manipulability"]]
-    print_table(tuple(_MEASURES), [[one[key] for key in _MEASURES.values()] for one in told])
+    measures = {
+        "module": "module",
+        "control point": "name",
+        "measure": "measure",
+        "condition": "condition",
+        "min. singular value": "minimum_singular_value",
+        "index": "index",
+    }
+    print_table(tuple(measures), [[one[key] for key in measures.values()] for one in told])
     if any(one["condition"] == float("inf") for one in about["manipulability"]):
         print_facts({"measures": "a straight arm is singular: that is usual"})
 

@@ -262,22 +262,19 @@ def progress_bar(
         )
 
 
-_OPTIONS = {
-    "raise max_steps": "raise --steps",
-    "choose another one": "choose another one by --start or --seed",
-    "placement as_is": "--placement as_is",
-}
-"""How arguments that a summary advises to change are called on the command line."""
-
-
 def words_of(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     """Return a summary in words that names options; the verdict comes with the colour to print it in."""
     from pinposture.motion.words import in_words
 
+    options = {
+        "raise max_steps": "raise --steps",
+        "choose another one": "choose another one by --start or --seed",
+        "placement as_is": "--placement as_is",
+    }
     words: dict[str, str | tuple[str, str]] = {}
     for topic, said in in_words(summary).items():
         text = said
-        for argument, option in _OPTIONS.items():
+        for argument, option in options.items():
             text = text.replace(argument, option)
         words[topic] = text
     if "verdict" in words:

@@ -202,8 +202,6 @@ class Narrow(threading.local):
         self.result = coal.DistanceResult()
 
 
-NO_PAIR = -1
-
 _MOVING = ("lines", "centers", "frames", "halves")
 """What tells in `Pairs` where obstacles are."""
 
@@ -233,7 +231,7 @@ class NearPairs(NamedTuple):
         points: point of the first body nearest to the second, or deepest in it, (k, 3) [m], world frame.
         normals: unit vector from the second to the first, (k, 3); zero where undefined.
         minimum: smallest distance of all pairs, near or not [m]; infinite without pairs.
-        nearest: index of that pair; `NO_PAIR` without pairs.
+        nearest: index of that pair; -1 without pairs.
     """
 
     pairs: Indices
@@ -478,7 +476,7 @@ class PairDistances:
             below: only distances below this matter [m]; if there are none, any larger one, or none, is found.
 
         Returns:
-            Infinity and `NO_PAIR` if no pair is found.
+            Infinity and -1 if no pair is found.
         """
         ends = self._ends(placements)
         candidates = len(ends) * self._open
@@ -514,7 +512,7 @@ class PairDistances:
             search: settings of the search.
 
         Returns:
-            Infinity and `NO_PAIR` if no pair comes nearer than `search.below`.
+            Infinity and -1 if no pair comes nearer than `search.below`.
         """
         positions, others = kinematics.positions(q, offsets)
         room = BUFFERS.open_samples * bool(self._open)

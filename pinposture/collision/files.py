@@ -20,7 +20,6 @@ from pinposture.errors import FileError, InvalidValue
 from pinposture.schema import shown
 from pinposture.storage import read_text, require_suffix
 
-_FOLDERS = {"package": package_folders, "model": model_folders}  # where to search, by scheme
 MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")  # suffixes of readable mesh files
 
 
@@ -56,9 +55,9 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
     if not separator or "/" in scheme:
         # Joining an absolute path to a folder drops the folder.
         candidates = [folder / filename for folder in folders] or [Path(filename)]
-    elif scheme.lower() in _FOLDERS:
+    elif scheme.lower() in ("package", "model"):
         name, _, rest = address.partition("/")
-        folders = _FOLDERS[scheme.lower()](folders)
+        folders = package_folders(folders) if scheme.lower() == "package" else model_folders(folders)
         packages = find_packages(unquote(name), folders)
         candidates = (package / spelling for package in packages for spelling in _spelt(rest))
     elif scheme.lower() == "file":
@@ -142,8 +141,6 @@ Array = NDArray[np.float64]
 
 _COMMENTS = ("#", "//")
 _LINES = "lines of three numbers or more, x y z first or where the line before them names x, y and z"
-_XYZ = {"x", "y", "z"}
-_MAX_HEADER = 100_000  # maximum size of the header of a PLY file [bytes]
 
 
 class ReadScan(NamedTuple):
@@ -197,10 +194,10 @@ def _read_text(path: Path) -> ReadScan:
     if not _are_numbers(first.split(separator)[:3]):
         names = _names(first, separator)
         skipped = number
-        if not set(names) >= _XYZ:
+        if not set(names) >= {"x", "y", "z"}:
             raise FileError(path, f"line {number} is {shown(first)}; allowed: {_LINES}")
     # A comment counts as column names only if it names all columns.
-    if set(names) >= _XYZ and (skipped == number or len(names) == count):
+    if set(names) >= {"x", "y", "z"} and (skipped == number or len(names) == count):
         columns = (names.index("x"), names.index("y"), names.index("z"))
     try:
         points = np.loadtxt(
@@ -370,9 +367,10 @@ def _merge_corners(part: ReadScan) -> ReadScan:
 def _check_ply(path: Path) -> None:
     """Reject an ASCII file with a wrong number of lines, in which trimesh would read faces as points."""
     with path.open("rb") as file:
+        most = 100_000  # bytes of a header
         header: list[list[bytes]] = []
-        while file.tell() < _MAX_HEADER and header[-1:] != [[b"end_header"]]:
-            line = file.readline(_MAX_HEADER)
+        while file.tell() < most and header[-1:] != [[b"end_header"]]:
+            line = file.readline(most)
             if not line or (not header and line.strip() != b"ply"):
                 break
             header.append(line.split())

@@ -60,13 +60,10 @@ Array = NDArray[np.float64]
 
 VERSION = 1
 USUAL_MARGIN = 0.005  # the clearance to keep unless another one is given [m]
-PROBE_RADIUS = 1e-6  # radius of the sphere that represents a point [m]
 
 
 Twist: TypeAlias = tuple[float, ...]
 """A velocity as it is given, with three numbers or six."""
-
-VELOCITIES = "three finite numbers [m/s], or six: with the angular velocity [rad/s]"
 
 
 def _require_named(value: object) -> dict[str, object]:
@@ -106,7 +103,8 @@ def _read_velocity(value: object, info: ValidationInfo) -> Twist:
     """Read a velocity: of the middle of an obstacle, and if there are six numbers, that of its rotation."""
     name = str(info.field_name)
     if np.shape(np.asarray(value, dtype=object)) != (6,):
-        return cast(Twist, CheckedBy(partial(point, allowed=VELOCITIES), "speed").read(name, value))
+        allowed = "three finite numbers [m/s], or six: with the angular velocity [rad/s]"
+        return cast(Twist, CheckedBy(partial(point, allowed=allowed), "speed").read(name, value))
     numbers = read_quantities(value, [*3 * ["speed"], *3 * ["rate of turning"]])
     for index, number in enumerate(numbers):
         if abs(number) > LARGEST_LENGTH:
@@ -553,7 +551,8 @@ def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tup
         point: the point, (3,) [m], world frame.
         depth: depth below the surface from which it counts as inside [m].
     """
-    return obstacles_near(scene, point, PROBE_RADIUS, -depth - PROBE_RADIUS)
+    radius = 1e-6  # of the sphere that represents the point [m]
+    return obstacles_near(scene, point, radius, -depth - radius)
 
 
 def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float = 0.0) -> tuple[str, ...]:

@@ -22,8 +22,6 @@ from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
-WRAPPABLE = (Sphere, Capsule, Cylinder, Box, Mesh, MeshShape)
-
 
 class WrappingCurveSettings(NamedTuple):
     """How often a curve may turn around an object, and how finely it is drawn."""
@@ -289,8 +287,9 @@ def winding_around(
 
 def _body(obstacle: Obstacle, axis: ArrayLike | None) -> WrappedBody:
     """Return an obstacle as it is wrapped about an axis; None: its own."""
-    if not isinstance(obstacle, WRAPPABLE):
-        known = ", ".join(kind.__name__ for kind in WRAPPABLE if kind is not MeshShape)
+    kinds = (Sphere, Capsule, Cylinder, Box, Mesh, MeshShape)
+    if not isinstance(obstacle, kinds):
+        known = ", ".join(kind.__name__ for kind in kinds if kind is not MeshShape)
         raise InvalidValue("obstacle", obstacle, f"one of {known}")
     about = _heading("axis", axis)
     shape = obstacle.geometry

@@ -28,11 +28,6 @@ EDGES = 16
 """Edges of the pyramid in a cone of friction: it is at most 2 % narrower."""
 
 
-NORMAL_PUSH = 0.01
-"""Cost of a push along the normal, relative to one along an edge of the cone of friction, where an arm
-squeezes. A tenth and ten times of it changed no torque; tests/sim/test_sim_wrap.py measures the forces."""
-
-
 class Hold(NamedTuple):
     """How an arm holds an object.
 
@@ -199,8 +194,11 @@ def squeezing_torques(
     torques = _torques(arm, state.q, touched, pushes)
     size = np.abs(wrenches[3:]).max(initial=0.0) or 1.0
     pressing = np.kron(np.eye(len(touched.points)), np.ones(rays))
+    # Cost of a push along the normal, relative to one along an edge of the cone of friction. A tenth and ten
+    # times of it changed no torque; tests/sim/test_sim_wrap.py measures the forces.
+    normal_cost = 0.01
     solution = linprog(
-        np.tile(np.append(NORMAL_PUSH, np.ones(rays - 1)), len(touched.points)),
+        np.tile(np.append(normal_cost, np.ones(rays - 1)), len(touched.points)),
         A_ub=-pressing,
         b_ub=np.full(len(pressing), -force),
         A_eq=wrenches / np.repeat([1.0, size], 3)[:, None],

@@ -17,13 +17,6 @@ from pinposture.units import CONVERGED, ROUNDING, length_text
 
 Array = NDArray[np.float64]
 
-WEAK_MOTION = 0.3
-"""Noise-induced joint motion, in `Arm.joint_units`, at which a measurement gets half its weight. Along
-directions in which joints hardly move the points, noise would otherwise cause large joint motions."""
-
-MAX_SURPRISE = 0.5
-"""Mean distance of points from their prediction, in mean module lengths, at which a filter is reset."""
-
 
 def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
     """Find the configuration that reaches given points, or comes closest to them within the limits.
@@ -148,12 +141,14 @@ class PointFilter:
         foreseen = np.clip(positions + self.dt * self._velocity, lower, upper)
         state = arm.at(arm.configuration(foreseen))
         errors = (measured - state.points)[seen] @ arm.plane.T
-        if np.linalg.norm(errors, axis=1).mean() > MAX_SURPRISE * arm.length / arm.n_modules:
-            return False
+        if np.linalg.norm(errors, axis=1).mean() > 0.5 * arm.length / arm.n_modules:
+            return False  # a surprise of half a module
         jacobian = state.task_jacobians[seen].reshape(-1, arm.nv)[:, columns] * units
         squares, directions = np.linalg.eigh(jacobian.T @ jacobian)
         motions = directions.T @ (jacobian.T @ errors.ravel())
-        motions /= np.maximum(squares, 0.0) + (self.noise / WEAK_MOTION) ** 2
+        # Along directions in which joints hardly move the points, noise would cause large joint motions: from
+        # one of 0.3 units on, a measurement has less than half its weight.
+        motions /= np.maximum(squares, 0.0) + (self.noise / 0.3) ** 2
         # Noise of the joint motion along a direction is that of the points divided by its singular value.
         ratios = self.acceleration * self.dt**2 / self.noise * np.sqrt(np.maximum(squares, 0.0))
         alpha, beta = stationary_gains(ratios)

@@ -420,7 +420,6 @@ class Curve(Geometry):
         return type(self)(knots, share * points[1:] + (1.0 - share) * points[:-1], k)
 
 
-_TABLES = (".csv", ".txt")
 _HEADING = re.compile(r"([xyz])(?: *[\[(] *(m|cm|mm) *[\])]|_(m|cm|mm))?")
 
 
@@ -431,9 +430,9 @@ def read_description(path: Path) -> dict[str, Any]:
         FileError: missing, unreadable, of another format, or a malformed line.
         CurveError: invalid points in a table; names the line.
     """
-    suffix = require_suffix(path, ".json", *_TABLES)
+    suffix = require_suffix(path, ".json", ".csv", ".txt")
     text = read_text(path)
-    if suffix in _TABLES:
+    if suffix != ".json":
         return {"type": "points", "points": _table(path, text)}
     content = parse_json(path, text)
     if isinstance(content, list):

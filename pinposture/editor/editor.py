@@ -27,8 +27,6 @@ logger = logging.getLogger(__name__)
 Request: TypeAlias = Callable[[Session], None]
 
 MAX_REQUESTS = 1000  # that wait; only a program sends more, and those are dropped
-FRAME_TIME = 1.0 / 60.0  # least time between two updates of the page [s]
-MAX_FRAME_TIME = 0.25  # most time between them [s]
 
 
 class Editor:
@@ -168,10 +166,10 @@ class Editor:
                     if fault != self._fault:  # it may come with every turn
                         logger.exception("a part of the editor failed")
                         self._fault = fault
-            left = FRAME_TIME - (time.monotonic() - begun)
+            left = 1.0 / 60.0 - (time.monotonic() - begun)
             if left > 0.0:
                 self._closed.wait(left)
-            self._wake.wait(MAX_FRAME_TIME)
+            self._wake.wait(0.25)  # [s]
 
     def _take_requests(self) -> None:
         while (request := self._next_request()) is not None:

@@ -38,9 +38,6 @@ from pinposture.task import Keyframe, Task
 
 logger = logging.getLogger(__name__)
 
-MAX_WAIT = 10.0  # for files that are being written [s]
-MAX_LISTED = 500  # task files to choose from
-
 
 class Version(NamedTuple):
     """Identity of a file, which differs from that of a file that had its name before."""
@@ -109,7 +106,7 @@ class Autosave:
 
     def finish(self) -> None:
         """Wait until everything is written."""
-        self._wanted.finish(MAX_WAIT)
+        self._wanted.finish(10.0)  # [s]
 
     def close(self) -> None:
         """Write what is waiting, and end."""
@@ -316,7 +313,7 @@ def task_files(folder: Path) -> tuple[str, ...]:
         with suppress(OSError):  # it may be gone already
             if path.is_file() and not path.stem.endswith(".autosave"):
                 times[path.relative_to(folder).as_posix()] = path.stat().st_mtime
-    return tuple(sorted(times, key=lambda name: (-times[name], name))[:MAX_LISTED])
+    return tuple(sorted(times, key=lambda name: (-times[name], name))[:500])  # more is no choice
 
 
 class ExportKind(NamedTuple):

@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 LINE_FORMAT = (
     'an object: {"name": [...], "position": [...]}, {"position": [...]} of all joints, or {"q": [...]}'
 )
-TIME_KEYS = (("sec", "nanosec"), ("secs", "nsecs"))  # of times in ROS 2 and ROS 1
 
 
 class ReadingSettings(NamedTuple):
@@ -140,7 +139,8 @@ def _stamp(content: Mapping[str, Any]) -> float | None:
             continue
         parts = [value, 0]
         if isinstance(value, dict):
-            parts = next(([value[s], value[ns]] for s, ns in TIME_KEYS if {s, ns} <= value.keys()), [None])
+            keys = (("sec", "nanosec"), ("secs", "nsecs"))  # of ROS 2 and ROS 1
+            parts = next(([value[s], value[ns]] for s, ns in keys if {s, ns} <= value.keys()), [None])
         if all(type(part) in (float, int) and -1e18 < part < 1e18 for part in parts):
             return float(parts[0]) + 1e-9 * float(parts[1])
         raise InvalidValue(name, value, "seconds, or an object with sec and nanosec")

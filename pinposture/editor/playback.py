@@ -24,8 +24,6 @@ from pinposture.task import Task
 
 Array = NDArray[np.float64]
 
-POSTURE_SHARE = 0.5  # of the progress, for finding the postures; the rest is the motion
-YIELD_TIME = 0.0005  # sleep after each cycle [s], for the other threads
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the playback, relative to real time
 
 
@@ -86,13 +84,13 @@ class Preview:
             if outdated.is_set():
                 raise Outdated
             self._progress = progress
-            time.sleep(YIELD_TIME)
+            time.sleep(0.0005)  # for the other threads
 
         def found(done: int, count: int) -> None:
-            report(POSTURE_SHARE * done / max(count, 1))
+            report(0.5 * done / max(count, 1))  # the first half of the progress is for finding the postures
 
         def moved(seconds: float, duration: float) -> None:
-            report(POSTURE_SHARE + (1.0 - POSTURE_SHARE) * min(seconds / duration, 1.0))
+            report(0.5 + 0.5 * min(seconds / duration, 1.0))
 
         report(0.0)
         edited = task.edited()  # of no file, whose lines may have changed

@@ -16,8 +16,6 @@ from pinposture.viz.body import backbone
 
 Array = NDArray[np.float64]
 
-REACH_BUDGET = 1.0  # of the search on release, if no clear posture is close [s]
-
 
 def drag_tip(
     position: Array, start: Array, final: bool, session: Session, keyframe: int | None = None
@@ -44,7 +42,7 @@ def drag_tip(
         position = edits.into_plane(arm, position)
         state = reach_from(arm, position, start, scene, limits)
         if state is None and final:
-            state = reach(arm, position, scene=scene, limits=limits, budget=REACH_BUDGET)[0]
+            state = reach(arm, position, scene=scene, limits=limits, budget=1.0)[0]
         if state is None:
             raise ReachError(
                 position, "no clear posture is close to the present one; release the tip to search for others"

@@ -78,10 +78,6 @@ class History:
         return self.now
 
 
-NOTICE_TIME = 4.0
-"""How long a message stays at least [s]: long enough to read a line."""
-
-
 class Notice(NamedTuple):
     """A message, shown as long as what it speaks of is there."""
 
@@ -259,13 +255,13 @@ class Session:
 
     @property
     def message(self) -> Notice | None:
-        """The last message; None once something else was edited, and it was there for `NOTICE_TIME`."""
+        """The last message; None once something else was edited, and it was there for 4 s, to be read."""
         notice = self.notice
         if notice.about is None:
             return None
         task, keyframe = notice.about
         same = task is self.task and keyframe == self.selected
-        return notice if same or time.monotonic() - notice.since <= NOTICE_TIME else None
+        return notice if same or time.monotonic() - notice.since <= 4.0 else None
 
     def touch(self) -> None:
         """Mark a change that the solver and the page should know of."""

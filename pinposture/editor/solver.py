@@ -74,9 +74,6 @@ class LiveSettings(NamedTuple):
 LIVE_ARM = LiveSettings()
 
 
-TRACKER_FIELDS = ("arm", "controller", "limits", "scene")  # of a problem; changes need a new tracker
-
-
 class Verdict(NamedTuple):
     """What an arm can make of the shape of a keyframe."""
 
@@ -385,7 +382,7 @@ class Solver:
                 self._change_arm(problem)
             elif dragging and all(getattr(problem, part) == getattr(before, part) for part in same):
                 self._tracked = problem  # each step is given the scene of its moment
-            elif any(getattr(problem, part) != getattr(before, part) for part in TRACKER_FIELDS):
+            elif any(getattr(problem, part) != getattr(before, part) for part in (*same, "scene")):
                 target = self._tracker.target
                 tracker = _tracker(problem, self._tracker.command, self._dq)
                 if target is not None:

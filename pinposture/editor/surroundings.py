@@ -37,7 +37,6 @@ logger = logging.getLogger(__name__)
 Post: TypeAlias = Callable[..., None]
 
 MAX_SHOWN = 200_000  # points or triangles of a scan
-MOUNT_DISTANCE = 0.01  # from a scan of what the arm is mounted on [m]
 MIN_PERIOD = 0.1  # between two looks at clearance or marks [s]
 
 
@@ -308,7 +307,8 @@ def nearest(query: ClearanceQuery) -> NearestObstacle | None:
     inside = _closest_pair(scene.without_obstacles(), state)
     if inside is not None and inside.distance < -CONVERGED * arm.length:
         pairs.append(inside)
-    shown = Scene(self_collision=False, margin=MOUNT_DISTANCE, arm_radius=scene.arm_radius)
+    # The margin is that from a scan of what the arm is mounted on [m].
+    shown = Scene(self_collision=False, margin=0.01, arm_radius=scene.arm_radius)
     for name, scan in query.scans.items():
         seen = _closest_pair(replace(shown, obstacles={name: scan}), state)
         if seen is not None:

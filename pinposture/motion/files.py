@@ -171,9 +171,6 @@ class Format(NamedTuple):
 ARCHIVES: dict[str, Format] = {}
 """The formats by name; higher packages add theirs with `register`."""
 
-_REGISTERED_BY = {"pinposture-simulation": "pinposture.sim", "pinposture-grip": "pinposture.task"}
-"""Packages that register formats on import."""
-
 _MESSAGE = (write_ros_message, read_ros_message)
 _TEXT_FILES = {".csv": (write_table, read_table), ".json": _MESSAGE, ".yaml": _MESSAGE, ".yml": _MESSAGE}
 """Writers and readers of the text formats of joint trajectories."""
@@ -302,8 +299,9 @@ def kind_of(path: Path) -> type | None:
 
 def _format_named(name: str) -> Format | None:
     """Return the format of a name, importing the package that registers it; None if there is none."""
-    if name not in ARCHIVES and name in _REGISTERED_BY:
-        import_module(_REGISTERED_BY[name])
+    homes = {"pinposture-simulation": "pinposture.sim", "pinposture-grip": "pinposture.task"}
+    if name not in ARCHIVES and name in homes:
+        import_module(homes[name])
     return ARCHIVES.get(name)
 
 
@@ -588,23 +586,45 @@ def _unpack_map(kind: type, about: About, arrays: Arrays) -> dict[str, Any]:
     return values
 
 
-_NO_RUN = {
-    "pinposture-batch": "contains many runs; save one of them: pp.save(pp.load(file)[0], ...)",
-    "pinposture-motion": "contains a motion in time; its run is pp.load(file).run",
-}
-_NO_MOTION = {
-    "pinposture-run": "contains a run without times; pp.load(file) returns it as a Run",
-    "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
-}
-register(Format("pinposture-run", 6, Run, "run", _check_run, _NO_RUN))
 register(
     Format(
-        "pinposture-motion", 4, Trajectory, "motion", _check_motion, _NO_MOTION, _pack_motion, _unpack_motion
+        "pinposture-run",
+        6,
+        Run,
+        "run",
+        _check_run,
+        {
+            "pinposture-batch": "contains many runs; save one of them: pp.save(pp.load(file)[0], ...)",
+            "pinposture-motion": "contains a motion in time; its run is pp.load(file).run",
+        },
+    )
+)
+register(
+    Format(
+        "pinposture-motion",
+        4,
+        Trajectory,
+        "motion",
+        _check_motion,
+        {
+            "pinposture-run": "contains a run without times; pp.load(file) returns it as a Run",
+            "pinposture-batch": "contains many runs; pp.load(file) returns them as a Batch",
+        },
+        _pack_motion,
+        _unpack_motion,
     )
 )
 register(Format("pinposture-batch", 5, Batch, "batch", _check_batch, {}, _pack_batch, _unpack_batch))
-_JOINTS = "pinposture-joint-trajectory"
 register(
-    Format(_JOINTS, 1, JointTrajectory, "joint trajectory", lambda _: None, {}, _pack_joints, _unpack_joints)
+    Format(
+        "pinposture-joint-trajectory",
+        1,
+        JointTrajectory,
+        "joint trajectory",
+        lambda _: None,
+        {},
+        _pack_joints,
+        _unpack_joints,
+    )
 )
 register(Format("pinposture-map", 1, Map, "map", lambda _: None, {}, _pack_map, _unpack_map))

@@ -196,8 +196,6 @@ _CLOCK = re.compile(
     r"(?:header[./_])?(?:stamp[./_])?(time|timestamp|stamp|t|dt|sec|secs|nanosec|nsec|nsecs)(?: ?\[(\w+)\])?",
     re.IGNORECASE,
 )
-_TIME_UNITS = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_UNITS_OF_KINDS = {"effort": (None, "", "N m", "Nm", "N"), "": (None, "", RADIAN, METRE, "deg")}
 
 
 class Columns(NamedTuple):
@@ -274,6 +272,7 @@ def _as_number(field: str) -> float | None:
 
 
 def _titled_columns(path: Path, headings: Sequence[str], table: Array, usual: str) -> Columns:
+    times = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     clocks: dict[str, Array] = {}
     tables: dict[tuple[str, str], Array] = {}
     angles: set[bool] = set()
@@ -281,16 +280,16 @@ def _titled_columns(path: Path, headings: Sequence[str], table: Array, usual: st
         where = f"column {k + 1} ({heading})"
         clock = _CLOCK.fullmatch(heading)
         if clock is not None:
-            if clock[2] not in _TIME_UNITS:
+            if clock[2] not in times:
                 raise FileError(path, f"{where}: unit {clock[2]!r}; allowed: s, ms, us, ns")
-            clocks.setdefault(clock[1].lower(), _TIME_UNITS[clock[2]] * table[:, k])
+            clocks.setdefault(clock[1].lower(), times[clock[2]] * table[:, k])
             continue
         match = _COLUMN.fullmatch(heading)
         joint, said, unit = match.groups() if match is not None else _plain(heading)
         if said in _IGNORED:
             continue
         kind = usual if said in (None, "position") else said
-        units = _UNITS_OF_KINDS.get(kind, _UNITS_OF_KINDS[""])
+        units = (None, "", "N m", "Nm", "N") if kind == "effort" else (None, "", RADIAN, METRE, "deg")
         if unit not in units:
             raise FileError(path, f"{where}: unit {unit!r}; allowed: {', '.join(filter(None, units))}")
         if (kind, joint) in tables:

@@ -25,16 +25,9 @@ from pinposture.errors import InvalidValue, enumerated
 from pinposture.kernels.arrays import FULL_TURN
 from pinposture.units import CONVERGED, ROUNDING
 
-START_TOLERANCE = 0.5
-"""Largest distance of a continuous joint from the start of a motion, apart from full turns, at which they are
-not in doubt [rad]: controllers do not accept a start that is farther away."""
-
 # Checks of joint trajectories.
 
 Array = NDArray[np.float64]
-
-MOST_ROWS = 10_000_000
-"""Most rows of a resampled trajectory: 5 GB at 20 joints."""
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -522,10 +515,8 @@ class JointTrajectory:
         turns = np.where(arm.kinematics.endless, np.rint((checked - first) / FULL_TURN), 0.0)
         off = np.where(arm.kinematics.endless, np.abs(checked - first - FULL_TURN * turns), 0.0)
         joint = int(off.argmax())
-        if off[joint] > START_TOLERANCE:
-            allowed = (
-                f"{first[joint]:.4g} rad to within {START_TOLERANCE:g} rad, plus full turns: move there first"
-            )
+        if off[joint] > 0.5:  # controllers do not accept a start that is farther away [rad]
+            allowed = f"{first[joint]:.4g} rad to within 0.5 rad, plus full turns: move there first"
             raise InvalidValue(f"positions[{joint}]", float(checked[joint]), allowed)
         return replace(matched, positions=matched.positions + FULL_TURN * turns).driven(arm)
 
@@ -595,8 +586,9 @@ class JointTrajectory:
             InvalidValue: not a positive number.
         """
         require_positive("dt", dt)
-        if self.duration / dt > MOST_ROWS:
-            allowed = f"at least {self.duration / MOST_ROWS:.3g} s, for at most {MOST_ROWS} rows"
+        most = 10_000_000  # rows; these are 5 GB at 20 joints
+        if self.duration / dt > most:
+            allowed = f"at least {self.duration / most:.3g} s, for at most {most} rows"
             raise InvalidValue("dt", dt, allowed)
         count = int(np.ceil(self.duration / dt * (1.0 - ROUNDING))) + 1
         time = self.time[0] + dt * np.arange(count)

@@ -203,16 +203,13 @@ def _read_times(name: str, clock: Times, rows: int) -> Clock:
     if times.shape not in ((rows,), (rows, 2)):
         raise InvalidValue(f"{name} (shape)", times.shape, words)
     seconds = times if times.ndim == 1 else times[:, 0]
-    seconds[~(np.abs(seconds) < LATEST)] = np.nan
+    latest = 1e12  # times beyond it are mistakes: nanoseconds since 1970 are 1e18
+    seconds[~(np.abs(seconds) < latest)] = np.nan
     if np.all(np.isnan(seconds)):
-        raise InvalidValue(name, clock, f"finite times below {LATEST:g} s")
+        raise InvalidValue(name, clock, f"finite times below {latest:g} s")
     whole = np.floor(seconds)
     rest = seconds - whole
     return Clock(whole, rest if times.ndim == 1 else rest + 1e-9 * times[:, 1])
-
-
-LATEST = 1e12
-"""Times beyond this are mistakes [s]; nanoseconds since 1970 are 1e18."""
 
 
 def _checked_times(name: str, times: Array) -> Array:

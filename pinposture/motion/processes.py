@@ -285,8 +285,9 @@ class _Line:
         self._connection, other = Pipe()
         _open_streams()
         # `multiprocessing` by itself would run the script of the user again.
+        single = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         self.process = get_context("loky").Process(
-            target=_answer_calls, args=(other,), daemon=True, env=dict.fromkeys(THREAD_COUNTS, "1")
+            target=_answer_calls, args=(other,), daemon=True, env=single
         )
         self.process.start()
         other.close()
@@ -396,10 +397,6 @@ class BackgroundProcess:
     def __del__(self) -> None:
         if hasattr(self, "_line"):
             self._line.requests.put(None)
-
-
-THREAD_COUNTS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables that set the number of threads of a process."""
 
 
 INTERRUPT: signal.Signals | None = getattr(signal, "SIGUSR1", None)

@@ -25,18 +25,12 @@ from pinposture.motion.joint_files import Columns, with_computed_rates
 from pinposture.motion.joint_trajectory import JointTrajectory, check_names
 from pinposture.storage import check_writable, parse_json, read_text, require_suffix, write_text
 
-WORLDS = ("world", "map")
-"""Names of the frame in which the base of the arm stands, the first that is not the name of a link."""
-
-MAX_DOF = 200
-"""Degrees of freedom up to which link frames are written; a `pin.Data` then takes 370 MB."""
-
 
 def world_frame(arm: Arm) -> str:
     """Return the name of the world frame in transforms; no link or moving joint of the arm has it."""
     bodies = (str(frame.name) for frame in arm.model.frames if frame.type == pin.FrameType.BODY)
     taken = {*bodies, *map(str, arm.model.names)}
-    names = chain(WORLDS, (f"{WORLDS[-1]}_{number}" for number in count(2)))
+    names = chain(("world", "map"), (f"map_{number}" for number in count(2)))
     return next(name for name in names if name not in taken)
 
 
@@ -54,7 +48,6 @@ MAX_SECONDS = 2**31 - 1
 """Largest int32 [s]."""
 
 POINT_ARRAYS = ("positions", "velocities", "accelerations", "effort")
-DURATION = ("sec", "nanosec")
 
 
 def to_message(trajectory: JointTrajectory) -> dict[str, Any]:
@@ -178,8 +171,9 @@ def _check_fields(path: Path, what: str, value: Any, fields: tuple[str, ...]) ->
 def _time(path: Path, number: int, value: Any, before: int) -> int:
     """Return the time of a point [ns], which must be after the previous one."""
     what = f"points[{number}].time_from_start"
-    _check_fields(path, what, value, DURATION)
-    for name, most in zip(DURATION, (MAX_SECONDS, NANOSECONDS - 1), strict=True):
+    largest = {"sec": MAX_SECONDS, "nanosec": NANOSECONDS - 1}
+    _check_fields(path, what, value, tuple(largest))
+    for name, most in largest.items():
         part = value.get(name, 0)
         if type(part) is not int or not 0 <= part <= most:
             raise FileError(path, f"{what}.{name} is {_shown(part)}; allowed: whole numbers from 0 to {most}")
@@ -343,7 +337,15 @@ def _messages(
     """Yield the topic, the time stamp [ns] and the content of each message, in chronological order."""
     described = to_message(trajectory)
     offset = round(start * NANOSECONDS)
-    make = {name: types[f"{package}/msg/{name}"] for package, name in _TYPES}
+    packages = {
+        "builtin_interfaces": ("Time", "Duration"),
+        "std_msgs": ("Header", "String"),
+        "sensor_msgs": ("JointState",),
+        "trajectory_msgs": ("JointTrajectory", "JointTrajectoryPoint"),
+        "geometry_msgs": ("Vector3", "Quaternion", "Transform", "TransformStamped"),
+        "tf2_msgs": ("TFMessage",),
+    }
+    make = {name: types[f"{package}/msg/{name}"] for package, names in packages.items() for name in names}
 
     def header(stamp: int, frame: str = "") -> Any:
         seconds, nanoseconds = divmod(stamp, NANOSECONDS)
@@ -390,23 +392,6 @@ def _messages(
             yield "/tf", stamp, make["TFMessage"](transforms)
 
 
-_TYPES = (
-    ("builtin_interfaces", "Time"),
-    ("builtin_interfaces", "Duration"),
-    ("std_msgs", "Header"),
-    ("std_msgs", "String"),
-    ("sensor_msgs", "JointState"),
-    ("trajectory_msgs", "JointTrajectory"),
-    ("trajectory_msgs", "JointTrajectoryPoint"),
-    ("geometry_msgs", "Vector3"),
-    ("geometry_msgs", "Quaternion"),
-    ("geometry_msgs", "Transform"),
-    ("geometry_msgs", "TransformStamped"),
-    ("tf2_msgs", "TFMessage"),
-)
-"""Message types by package and name."""
-
-
 class _LinkTree:
     """Link placements relative to the parent links in the URDF of an arm, or to the world without a URDF.
 
@@ -415,8 +400,8 @@ class _LinkTree:
     """
 
     def __init__(self, arm: Arm, trajectory: JointTrajectory) -> None:
-        if arm.nv > MAX_DOF:
-            raise InvalidValue("degrees of freedom", arm.nv, f"at most {MAX_DOF}; or arm=None, without links")
+        if arm.nv > 200:  # a `pin.Data` then takes 370 MB
+            raise InvalidValue("degrees of freedom", arm.nv, "at most 200; or arm=None, without links")
         self._model = arm.model
         self._data = arm.model.createData()
         self._configurations = trajectory.configurations(arm)

@@ -51,13 +51,12 @@ class TouchSettings(NamedTuple):
     outstretched arm. In `benchmarks/studies/touch.py` it gives no false alarm, with noise of up to 3 % and
     0.3 mrad."""
 
+    limp: float = 0.25
+    """Torque of a drive below which it has none, in thresholds. In `benchmarks/studies/failures.py` a drive
+    that gives 30 % of what weight needs is told from one that gives nothing."""
+
 
 TOUCH = TouchSettings()
-
-
-LIMP = 0.25
-"""Torque of a drive below which it has none, in thresholds. In `benchmarks/studies/failures.py` a drive that
-gives 30 % of what weight needs is told from one that gives nothing."""
 
 
 def _threshold(name: str, value: object) -> float | dict[str, float] | None:
@@ -264,7 +263,7 @@ class TouchDetector:
         threshold = self._thresholds[joint]
         if self.reason or self._arm.outstretched_torques[joint] < threshold:
             return "astray"
-        return "limp" if abs(self._driven[joint]) < LIMP * threshold else "weak"
+        return "limp" if abs(self._driven[joint]) < TOUCH.limp * threshold else "weak"
 
     def way(self, limits: Limits) -> Array:
         """Return how far ahead of its command an arm that yields aims, (nv,) [rad or m]."""

@@ -53,12 +53,6 @@ MIN_CYCLE = 1e-4
 """Shortest duration of a cycle, relative to the nominal one."""
 
 
-SLOW = 0.001
-"""Velocity from which the lead of drives counts their friction in full, in `Arm.joint_units` per second. With
-0.02, eight joints with a friction of 0.11 rad stalled 0.8 mrad short of their target; with 0.001 they reached
-it to 0.2 mrad."""
-
-
 class Report(NamedTuple):
     """The result of a cycle.
 
@@ -532,7 +526,10 @@ class Tracker:
             return
         if self._sag is not None:
             positions = positions + self._sag.offset
-        lead = self._drives.lead(velocities, SLOW * self.arm.joint_units)
+        # From this velocity on, the lead counts friction in full. With 0.02, eight joints with a friction of
+        # 0.11 rad stalled 0.8 mrad short of their target; with 0.001 they reached it to 0.2 mrad.
+        slow = 0.001 * self.arm.joint_units
+        lead = self._drives.lead(velocities, slow)
         lowest = np.minimum(self.arm.limits.lower - positions, 0.0)
         highest = np.maximum(self.arm.limits.upper - positions, 0.0)
         self._feedback.lead = np.clip(lead, lowest, highest)

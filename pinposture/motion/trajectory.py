@@ -35,9 +35,6 @@ NO_SLOWDOWN = 5e-3
 
 OFF_THE_PATH = "an obstacle keeps the arm off the planned path"
 
-HOLDING_SHARE = 0.85
-"""Share of a limit above which that limit slows the arm, rather than a keyframe with limited speed."""
-
 
 class WaypointResult(NamedTuple):
     """A named waypoint of a motion, such as a keyframe, and how the arm passed it.
@@ -201,7 +198,7 @@ class Trajectory:
         # The arm slows down before a keyframe with limited speed, and speeds up after it.
         near_by = [*self.waypoints[ahead : ahead + 2], *self.waypoints[max(ahead - 1, 0) : ahead]]
         slow = [waypoint for waypoint in near_by if waypoint.speed < 1.0]
-        if slow and used[kind].max() < HOLDING_SHARE:
+        if slow and used[kind].max() < 0.85:  # from this share on, it is the limit that slows the arm
             return f"{slow[0].name} allows {100.0 * slow[0].speed:.3g} % of the velocity limits"
         return f"joint {self.arm.joint_names[int(used[kind].argmax())]} is at its {kind} limit"
 

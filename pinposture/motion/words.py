@@ -13,7 +13,14 @@ from pinposture.units import CONVERGED, error_text, length_text, number_text
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str]:
     """Return what the `summary` of a result says, by topic; multiple lines for lists."""
-    return _WORDS[summary["kind"]](summary)
+    say: Mapping[str, Callable[[Mapping[str, Any]], dict[str, str]]] = {
+        "run": _of_run,
+        "motion": _of_trajectory,
+        "joint trajectory": _of_joints,
+        "simulation": _of_simulation,
+        "identification": _of_identification,
+    }
+    return say[summary["kind"]](summary)
 
 
 def headline(summary: Mapping[str, Any], name: str) -> tuple[str, str, str]:
@@ -336,12 +343,3 @@ def _of_identification(summary: Mapping[str, Any]) -> dict[str, str]:
             f"{drives['rest']:.2g} {summary['unit']} (rms)"
         )
     return words
-
-
-_WORDS: Mapping[str, Callable[[Mapping[str, Any]], dict[str, str]]] = {
-    "run": _of_run,
-    "motion": _of_trajectory,
-    "joint trajectory": _of_joints,
-    "simulation": _of_simulation,
-    "identification": _of_identification,
-}

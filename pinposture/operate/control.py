@@ -26,6 +26,9 @@ class ControlSettings(NamedTuple):
     brakes within 90 ms. It is three messages and a half: with half of it, one page in a browser without a GPU
     lost its input again and again (tests/operate/test_page.py)."""
 
+    most_wishes: int = 20
+    """Number of wishes that wait at most."""
+
 
 CONTROL = ControlSettings()
 
@@ -36,10 +39,6 @@ DIRECTIONS = ("ahead", "left", "up")
 WISHES = ("keep", "next", "out")
 """What the page that has control can ask for beside: to keep the posture, to plan the next step, or the way
 out of an arm with a joint that fails."""
-
-
-DONE = ("hold", "release", "ask", "give", *WISHES)
-"""What a message can be about."""
 
 
 NOTHING_HELD = "nothing is held"
@@ -59,10 +58,6 @@ class Order(NamedTuple):
     override: float
     along: float = 0.0
     way: int = 0
-
-
-MOST_WISHES = 20
-"""Number of wishes that wait at most."""
 
 
 class Control:
@@ -173,7 +168,7 @@ class Control:
             direction = np.array([message[name] for name in DIRECTIONS])
             self._order = Order(direction, message["override"], message["along"], message["way"])
             self.reason = ""
-        elif what in WISHES and len(self._wishes) < MOST_WISHES:
+        elif what in WISHES and len(self._wishes) < CONTROL.most_wishes:
             self._wishes.append(what)
 
     def _expire(self, now: float) -> None:
@@ -201,8 +196,9 @@ def _read(message: str | bytes) -> dict[str, Any]:
         read = json.loads(message)
     except (ValueError, RecursionError) as error:
         raise InvalidValue("message", message[:40], "an object of JSON") from error
-    if not isinstance(read, dict) or read.get("do") not in DONE:
-        allowed = f"an object with do: {', '.join(DONE)}"
+    done = ("hold", "release", "ask", "give", *WISHES)
+    if not isinstance(read, dict) or read.get("do") not in done:
+        allowed = f"an object with do: {', '.join(done)}"
         raise InvalidValue("message", str(read)[:40], allowed)
     if read["do"] != "hold":
         return {"do": read["do"]}

@@ -69,10 +69,6 @@ LOCKING = "a joint that is stuck is being locked"
 """Why the arm holds until it goes on without that joint."""
 
 
-FALLEN = "has fallen, as limp or weak: only the way that is planned can be driven"
-"""Why the tip is not led."""
-
-
 class Rest(NamedTuple):
     """Where a measured arm has stood, (nq,), and since when [s]."""
 
@@ -276,7 +272,8 @@ class Operation:
         if self._astray is None:
             return ""
         if self._fallen:
-            return f"{self._astray.joint} {FALLEN}"
+            why = "has fallen, as limp or weak: only the way that is planned can be driven"
+            return f"{self._astray.joint} {why}"
         return f"{self._astray}; if it has fallen, look for the way out"
 
     def reshape(self, curve: CurveAlong) -> None:

@@ -48,13 +48,6 @@ from pinposture.viz.palette import THEME
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
-HANDLE_SIZE = 1.6
-"""Radius of control points, relative to that of the bars of the arm, so that they can be taken hold of."""
-
-CHANNEL_PATH = "/control"
-ALONE_PATH = "/controls"
-"""Where the page tells what is held, and where the controls are alone, behind the secret."""
-
 
 class PageSettings(NamedTuple):
     """How the page looks, and how often it changes."""
@@ -82,6 +75,9 @@ class PageSettings(NamedTuple):
 
     covered: float = 0.25
     """Share of the picture, from below, that the controls cover."""
+
+    handle: float = 1.6
+    """Radius of control points, relative to that of the bars of the arm: they are to be taken hold of."""
 
 
 LIVE_PAGE = PageSettings()
@@ -214,7 +210,7 @@ class CurveHandles:
         self._draw(curve)
 
     def _make(self) -> None:
-        radius = HANDLE_SIZE * link_radius(self._operation.arm)
+        radius = LIVE_PAGE.handle * link_radius(self._operation.arm)
         for number in range(1, WAYS.handles):
             name = f"/handles/{number}"
             ball = self._server.scene.add_icosphere(name, radius, color(THEME.active), cast_shadow=False)
@@ -361,16 +357,19 @@ class LivePage:
             return json.dumps(reply | plan | {"state": f"The arm {shown.mode}{why}"})
 
         head = files("pinposture.operate").joinpath("controls.html").read_text(encoding="utf-8")
+        # Where the page tells what is held, and where the controls are alone, behind the secret.
+        path = "/control"
+        alone = "/controls"
         words = {
             "PERIOD": f"{1e3 * CONTROL.period:.0f}",
-            "PATH": CHANNEL_PATH,
-            "ALONE": ALONE_PATH,
+            "PATH": path,
+            "ALONE": alone,
             "DOCK": str(PAGE.controls_width),
         }
         for word, value in words.items():
             head = head.replace(f"__{word}__", value)
         self._server, self.url = serve(
-            host, port, "operate", Channel(CHANNEL_PATH, head, ALONE_PATH, answer, control.leave)
+            host, port, "operate", Channel(path, head, alone, answer, control.leave)
         )
         server = self._server
         server.gui.configure_theme(

@@ -205,9 +205,9 @@ def read_recording(arm: Arm, path: str | Path, scene: Scene) -> Iterator[Shown]:
                     raise FileError(path, f"is of the format {told['format']}; allowed: {FORMAT}")
                 if told["cell"] != radius:
                     radius = float(told["cell"])
-                    here = scene.with_obstacles(
-                        {**scene.obstacles, SEEN: Cells.of(points, radius / HALF_DIAGONAL)}
-                    )
+                    ball = 0.5 * math.sqrt(3.0)  # radius of that around a cell, in edge lengths
+                    cells = Cells.of(points, radius / ball)
+                    here = scene.with_obstacles({**scene.obstacles, SEEN: cells})
                 begin = message.log_time if begin is None else begin
                 yield _shown(arm, told, here, (message.log_time - begin) / NANOSECONDS)
     except FileError:
@@ -220,10 +220,6 @@ def read_recording(arm: Arm, path: str | Path, scene: Scene) -> Iterator[Shown]:
         raise FileError(
             path, f"has no messages on {CYCLES}; allowed: a file that `pinposture operate` recorded"
         )
-
-
-HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
-"""Radius of the ball around a cell, in edge lengths."""
 
 
 def _shown(arm: Arm, told: dict[str, Any], scene: Scene, at: float) -> Shown:
@@ -277,8 +273,8 @@ class Replay:
     def run(self, stop: Event) -> None:
         """Replay it until it is stopped."""
         begun = time.monotonic()
-        while not stop.wait(PERIOD):
-            passed = (time.monotonic() - begun) % (self._times[-1] + PAUSE)
+        while not stop.wait(0.02):
+            passed = (time.monotonic() - begun) % (self._times[-1] + 2.0)  # the last one stays for 2 s
             cycle = self._cycles[int(np.searchsorted(self._times, passed, side="right")) - 1]
             self.shown = cycle._replace(time=time.monotonic())
 
@@ -287,8 +283,3 @@ class Replay:
 
     def close(self) -> None:
         """Do nothing; there is nothing to be ended."""
-
-
-PERIOD = 0.02
-PAUSE = 2.0
-"""Time between two cycles that are shown, and that for which the last one stays [s]."""

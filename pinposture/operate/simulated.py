@@ -30,9 +30,6 @@ Array = NDArray[np.float64]
 PICTURE_PERIOD = 0.2
 """Time between two pictures of the camera [s]."""
 
-MOST_BEHIND = 0.2
-"""Time by which the simulation may be late before it gives up to make it good [s]."""
-
 
 class Picture(NamedTuple):
     """What the camera is to take.
@@ -164,7 +161,7 @@ class SimulatedArm:
             late = time.monotonic() - begun - self.time
             if late < 0.0:
                 stop.wait(-late)
-            elif late > MOST_BEHIND:
+            elif late > 0.2:  # too late to be made good [s]
                 begun += late
 
     def close(self) -> None:

@@ -40,9 +40,6 @@ Array = NDArray[np.float64]
 Level = Callable[[Array], Array]
 
 
-CROSSING_SAMPLES = 200  # number of curve samples per reach in the search for crossings
-
-
 class NumericModuleSettings(NamedTuple):
     """Settings of the numeric search for joint positions of a module without a closed form."""
 
@@ -83,11 +80,12 @@ def curve_crossings(
     def inside(s: float) -> Array:
         return np.asarray(base.rotation.T @ (np.asarray(curve.at(s)) - base.translation))
 
-    step = reach / CROSSING_SAMPLES
+    samples = 200  # of the curve, per reach
+    step = reach / samples
     s = start + CONVERGED * reach  # the base is no crossing
     value = np.nan
     while s < curve.length:
-        block = np.minimum(s + step * np.arange(CROSSING_SAMPLES + 1), curve.length)
+        block = np.minimum(s + step * np.arange(samples + 1), curve.length)
         points = (curve.at(block) - base.translation) @ base.rotation
         values = np.asarray(level(points))
         out = np.linalg.norm(points, axis=1) > reach * (1.0 + 1e-9)

@@ -12,9 +12,6 @@ import numpy as np
 
 from pinposture.motion.ros import NANOSECONDS
 
-KEPT_LATENCIES = 100_000
-"""Largest number of latencies that are kept: those of 16 minutes at 100 Hz."""
-
 SAID_AGAIN = 10.0
 """Time after which the same words are a new occurrence [s]. On a busy machine, a plan or a step that is not
 ready in time comes and goes several times a second."""
@@ -30,7 +27,7 @@ class CycleTimes:
         cycles: number of cycles.
         missed: number of cycles that did not take place, as others came too late.
         latencies: times from the measurement of the joints to the command that follows from it [s], the
-            latest `KEPT_LATENCIES`.
+            latest 100,000.
 
     Args:
         period: nominal time between cycles [s].
@@ -39,7 +36,7 @@ class CycleTimes:
     def __init__(self, period: float) -> None:
         self.cycles = 0
         self.missed = 0
-        self.latencies: deque[float] = deque(maxlen=KEPT_LATENCIES)
+        self.latencies: deque[float] = deque(maxlen=100_000)  # 16 minutes at 100 Hz
         self._period = period
         self._last: int | None = None
         self._told = 0

@@ -43,32 +43,43 @@ COMMANDS = {
 }
 """Topics of the commands, by their kind."""
 
-USUAL_VELOCITY = 1.0
-USUAL_ACCELERATION = 2.0
-"""Limits of joints for which none are given, in `Arm.joint_units` per s and per s^2: slow enough to watch."""
 
-SHORT_CYCLE = 0.8
-"""Share of the nominal cycle time below which a cycle moves less. Cycles of a node vary by a millisecond."""
+class DriverTimes(NamedTuple):
+    """How fast the driver moves where nothing is given, and how often it looks."""
 
-DIAGNOSTICS_PERIOD = 1.0
-"""Time between messages of diagnostics, if nothing changes [s], as ROS tools expect."""
+    velocity: float = 1.0
+    """Limit of joints for which none is given, in `Arm.joint_units` per s: slow enough to watch."""
 
-ARRIVED = 0.01
-"""Mean distance of the control points from the start of a motion at which it begins, in arm lengths, once the
-arm rests there: soft or sticking drives stop short of it."""
+    acceleration: float = 2.0
+    """The same, in `Arm.joint_units` per s^2."""
 
-STALE_SPEED = 0.25
-"""Share of the limits of velocity with which an arm moves on a stale map, if it does not hold."""
+    stale_speed: float = 0.25
+    """Share of the limits of velocity with which an arm moves on a stale map, if it does not hold."""
 
-FALLBACK_PERIOD = 1.0
-"""Time between two looks at what is possible without locked joints [s], as for targets that are streamed."""
+    short_cycle: float = 0.8
+    """Share of the nominal cycle time below which a cycle moves less. Cycles of a node vary by a
+    millisecond."""
+
+    arrived: float = 0.01
+    """Mean distance of the control points from the start of a motion at which it begins, in arm lengths, once
+    the arm rests there: soft or sticking drives stop short of it."""
+
+    diagnostics: float = 1.0
+    """Time between messages of diagnostics, if nothing changes [s], as ROS tools expect."""
+
+    fallback: float = 1.0
+    """Time between two looks at what is possible without locked joints [s], as for targets that are
+    streamed."""
+
+    standstill: float = 2.0
+    """Time without a cycle after which a driver that shall end does not wait for one any longer [s]. Cycles
+    stop with the clock of a simulation."""
+
+
+DRIVER = DriverTimes()
 
 LED = "the operator leads the arm out"
 """What is possible without locked joints, where a guide has locked them."""
-
-STANDSTILL = 2.0
-"""Time without a cycle after which a driver that shall end does not wait for one any longer [s]. Cycles stop
-with the clock of a simulation."""
 
 
 @declared()
@@ -114,11 +125,11 @@ class DriverSettings(Declared):
 def usual_limits(arm: Arm, dt: float) -> Limits:
     """Return limits for an arm of which none are given, with a cycle time [s]: those of its description.
 
-    Joints without a limit of velocity get `USUAL_VELOCITY`, and all get `USUAL_ACCELERATION`.
+    Joints without a limit of velocity get `DRIVER.velocity`, and all get `DRIVER.acceleration`.
     """
     described = arm.limits.velocity
-    velocity = np.where(np.isfinite(described), described, USUAL_VELOCITY * arm.joint_units)
-    return Limits(step=None, dt=dt, velocity=velocity, acceleration=USUAL_ACCELERATION * arm.joint_units)
+    velocity = np.where(np.isfinite(described), described, DRIVER.velocity * arm.joint_units)
+    return Limits(step=None, dt=dt, velocity=velocity, acceleration=DRIVER.acceleration * arm.joint_units)
 
 
 class Cloud(NamedTuple):
@@ -184,7 +195,7 @@ class Performance:
 
     def advance(self, report: Report, dt: float) -> Target:
         """Return the posture for the end of a cycle, in which a time passes [s], after the last report."""
-        near = report.mean_error is not None and report.mean_error <= ARRIVED * self._arm.length
+        near = report.mean_error is not None and report.mean_error <= DRIVER.arrived * self._arm.length
         if report.status in ("converged", "stalled") and near:
             self._begun = True
         if self._begun and report.status in ("moving", "converged"):
@@ -235,7 +246,7 @@ class Driver:
         arm: the arm.
         settings: how the driver works; None: `DriverSettings()`.
         limits: the limits of the motion, of which the cycle time is that of the settings; None: those of
-            the description, and `USUAL_VELOCITY` and `USUAL_ACCELERATION` where it has none.
+            the description, and `DRIVER.velocity` and `DRIVER.acceleration` where it has none.
         scene: obstacles that are known; None: the arm has only itself to keep clear of.
 
     Raises:
@@ -292,7 +303,7 @@ class Driver:
         self._preparing = ""
         self._wanted: Mapping[str, float] = self.locked
         self._ahead: Latest[Locked, Fallback] = Latest(
-            self._look_ahead, "pinposture-fallback", deliver=self._pass_fallback_on, period=FALLBACK_PERIOD
+            self._look_ahead, "pinposture-fallback", deliver=self._pass_fallback_on, period=DRIVER.fallback
         )
         self._way_in = WayIn(arm)
         self._stuck: set[str] = set()  # that cannot be locked
@@ -430,7 +441,7 @@ class Driver:
         node.create_subscription(JointState, "~/posture", self._take_posture, reliable)
         node.add_on_set_parameters_callback(self._change_parameters)
         node.create_timer(self._period, self._cycle)
-        node.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
+        node.create_timer(DRIVER.diagnostics, self._diagnose)
 
     def _now(self) -> int:
         """Return the time of the node [ns], which may be that of a simulation."""
@@ -777,7 +788,7 @@ class Driver:
         self._run_posted()
         self._take_cells()
         stale = self._stale(now)
-        self._slow_down(STALE_SPEED if stale else 1.0)
+        self._slow_down(DRIVER.stale_speed if stale else 1.0)
         held = self._reason_to_hold(measured, stale)
         if self._guide is not None:
             held = self._guide.lead(self.tracker, q, self._scene, self._period, held, self._speed)
@@ -868,7 +879,7 @@ class Driver:
             tracker.update(self._performance.advance(tracker.report, self._speed * self._period))
         tracker.step(
             None if measured is None else measured.positions,
-            passed if passed < SHORT_CYCLE * self._period else None,
+            passed if passed < DRIVER.short_cycle * self._period else None,
             scene=self._scene,
             torques=None if measured is None else measured.torques,
         )
@@ -903,7 +914,7 @@ class Driver:
 
     def done(self) -> bool:
         """Return whether the driver was stopped, and the arm holds or cycles have ceased."""
-        ceased = time.monotonic() - self._last_cycle > STANDSTILL
+        ceased = time.monotonic() - self._last_cycle > DRIVER.standstill
         return self._stopping and (self.tracker.at_rest or ceased)
 
     def close(self) -> None:

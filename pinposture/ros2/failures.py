@@ -24,13 +24,6 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-SEARCH_TIME = 30.0
-"""Time after which no other way out is searched beside the way in [s]. In 50 draws of
-`benchmarks/studies/retreat.py` ways that were found took 17 s at most."""
-
-AIM_TIME = 5.0
-"""The same for the posture nearest to the target [s]: where it is out of reach, all of this time is taken."""
-
 POLLING = 0.05
 """Time between two looks whether an answer is there, or outdated [s]."""
 
@@ -93,7 +86,8 @@ def find_fallback(locked: Locked) -> Fallback:
     arm = locked.arm
     if locked.target is not None and not locked.leave:
         target = as_possible(arm, locked.target)
-        path = plan(arm.at(locked.q), target, locked.scene, locked.limits, budget=AIM_TIME)
+        # Where the target is out of reach, all of this time is taken.
+        path = plan(arm.at(locked.q), target, locked.scene, locked.limits, budget=5.0)
         error = target.mean_distance(arm.chain_at(path.configuration(path.end)).points)
     *others, last = locked.positions
     held = {name: locked.positions[name] for name in others}
@@ -107,7 +101,8 @@ def find_fallback(locked: Locked) -> Fallback:
             last,
             postures=[len(rows) - 1],
             limits=locked.limits,
-            budget=SEARCH_TIME,
+            # In 50 draws of `benchmarks/studies/retreat.py` ways that were found took 17 s at most.
+            budget=30.0,
         ).ways
     except PostureError as refused:
         return Fallback(error, None, str(refused))

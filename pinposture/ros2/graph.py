@@ -24,9 +24,6 @@ MESSAGES = (
 )
 """Packages of messages that the nodes need."""
 
-LONGEST_WAIT = 0.1
-"""Longest time for which a node waits for something to do before it looks whether it shall end [s]."""
-
 
 class RosMissing(PostureError, ImportError):
     """Something of ROS 2 is not installed or cannot be loaded.
@@ -114,7 +111,7 @@ def spin(node: Any, stop: Callable[[], None], done: Callable[[], bool]) -> None:
     executor.add_node(node)
     try:
         while not done() and signals < 2:
-            executor.spin_once(timeout_sec=LONGEST_WAIT)
+            executor.spin_once(timeout_sec=0.1)  # then it looks whether it shall end
     finally:
         executor.remove_node(node)
         executor.shutdown()

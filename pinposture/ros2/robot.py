@@ -27,9 +27,6 @@ from pinposture.sim.plant import FAILURES, Plant, Sensing, Sensors
 
 Array = NDArray[np.float64]
 
-MOST_CATCHING_UP = 5
-"""Largest number of cycles that the robot makes at once to keep up with the clock; time is lost beyond it."""
-
 
 @declared()
 class RobotSettings(Declared):
@@ -261,7 +258,7 @@ class SimulatedRobot:
         """Simulate the cycles that are due, and publish what is measured."""
         passed = (self._steady.now().nanoseconds - self._begun) / NANOSECONDS
         due = int(passed * self._settings.rate) - self.plant.cycles
-        if due > MOST_CATCHING_UP:
+        if due > 5:  # it does not catch up with more than these at once; the time is lost
             lost = round((due - 1) * self.plant.dt * NANOSECONDS)
             self._begun += lost
             self._epoch += 0 if self._settings.clock else lost

@@ -39,10 +39,6 @@ from pinposture.schema import CheckedBy, Declared, Duration, declared
 
 Array = NDArray[np.float64]
 
-FRICTION_STIFFNESS = 10.0
-"""Stiffness of friction relative to that of the normal direction (`impratio` of MuJoCo). With MuJoCo's 1, a
-box that friction holds on a slope creeps eight times as fast; `tests/sim/test_sim_contact.py` bounds it."""
-
 ARM = "arm"
 OBSTACLE = "obstacle"
 FREE = "free"
@@ -194,7 +190,9 @@ def add_contact(spec: Any, arm: Arm, scene: Scene, contact: ContactModel) -> Non
         require_known("obstacle", name, scene.obstacles)
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = FRICTION_STIFFNESS
+    # Stiffness of friction relative to that of the normal direction. With MuJoCo's 1, a box held by friction
+    # on a slope creeps eight times as fast; `tests/sim/test_sim_contact.py` bounds it.
+    spec.option.impratio = 10.0
     shapes = []
     for index, (joint, solid) in enumerate(model.solids):
         shapes.append(f"{ARM} {index} {model.bodies[index]}")

@@ -36,7 +36,6 @@ from pinposture.sim.model import (
 Array = NDArray[np.float64]
 
 RUNAWAY = 1e3  # joint speed at which a simulation ends as unstable [rad/s or m/s]
-STUCK_DAMPING = 1e9  # of a joint that is stuck: 100 N m move it by 1e-7 rad/s [N m s/rad or N s/m]
 WEAK = 0.3  # share of the torque by which weight loads a joint at most that a weak drive gives
 FAILURES = ("stuck", "limp", "weak")
 """How joints fail, as arguments of `Plant.fail`."""
@@ -154,7 +153,7 @@ class Plant:
                 self._limits[at] = min(self._limits[at], loads[names.index(name)])
         self._limits[[columns[name] for name in limp]] = 0.0
         self._model.dof_damping[:] = self._free_damping
-        self._model.dof_damping[[columns[name] for name in stuck]] = STUCK_DAMPING
+        self._model.dof_damping[[columns[name] for name in stuck]] = 1e9  # 100 N m move it by 1e-7 rad/s
 
     def advance(self, command: Array) -> bool:
         """Simulate one control cycle; return False if the arm runs away, see `failure`.

@@ -29,10 +29,6 @@ Array = NDArray[np.float64]
 # without integral action sag under gravity by a few thousandths.
 END_TOLERANCE = 0.01
 
-PATH_RATIO = 5.0
-"""Largest mean deviation of the control points from their set points, and of what the arm holds from where it
-was taken, in tolerances at the end."""
-
 
 class PathDeviation(NamedTuple):
     """The largest deviation of a simulated arm from its set points, if it is too large.
@@ -196,7 +192,8 @@ class Simulation(Outcome):
     @property
     def _allowed_deviation(self) -> float:
         """Deviation from the path, and slip, that counts as none [m]."""
-        return PATH_RATIO * max(self.tolerance, END_TOLERANCE * self.arm.length)
+        # Largest mean deviation from set points, and of what the arm holds from where it was taken.
+        return 5.0 * max(self.tolerance, END_TOLERANCE * self.arm.length)
 
     @cached_property
     def excess(self) -> PathDeviation | None:

@@ -19,10 +19,6 @@ LEAST_PULL = 0.1
 """Share of the largest torque by which weight can load a joint, below which weight does not tell where the
 joint hangs or falls: friction, a cable or a touch does."""
 
-AT_STOP = 0.02
-"""Distance from an end stop within which a fallen joint lies there, in `Arm.joint_units`: end stops give way
-a little."""
-
 
 class Fall(NamedTuple):
     """How a joint falls.
@@ -86,7 +82,7 @@ def torque_left(state: ArmState, column: int) -> float:
     """
     arm = state.arm
     here = float(state.positions[column])
-    near = AT_STOP * float(arm.joint_units[column])
+    near = 0.02 * float(arm.joint_units[column])  # of an end stop, which gives way a little
     held = abs(float(state.gravity_torques[column]))
     at_stop = min(here - arm.limits.lower[column], arm.limits.upper[column] - here) < near
     return 0.0 if at_stop or held < LEAST_PULL * arm.outstretched_torques[column] else held

@@ -414,11 +414,6 @@ def lap_of(keyframes: tuple[Keyframe, ...], interval: float) -> tuple[Keyframe, 
     return *there, replace(first, time=None, duration=back, hold=0.0)
 
 
-TURN_BACK = 5.0
-"""Acceleration where the motion turns back, relative to the mean velocity divided by the time to the next
-keyframe. 5 gives the smallest peak acceleration from rest to rest: 0 has 15 % more, and 6, a cubic, 20 %."""
-
-
 def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence[int] | Array) -> Array:
     """Interpolate values along a stretch, at rest at its ends.
 
@@ -446,7 +441,8 @@ def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence
     means = np.diff(values, axis=0) / gaps
     derivatives = [values, _smaller_inside(means, means)]
     if continuity == "acceleration":
-        derivatives.append(TURN_BACK * _smaller_inside(-means / gaps, means / gaps))
+        # 5 gives the smallest peak acceleration from rest to rest: 0 has 15 % more, and 6, a cubic, 20 %.
+        derivatives.append(5.0 * _smaller_inside(-means / gaps, means / gaps))
     return np.asarray(BPoly.from_derivatives(knots, np.stack(derivatives, axis=1))(x))
 
 

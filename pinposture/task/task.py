@@ -513,11 +513,6 @@ _KEYS_OF_KIND = {
     "phases": ("phases", "continuity"),
 }
 
-_TASK_KEYS = (
-    *("version", "kind", "name", "continuity", "repeat", "arm", "scene", "keyframes", "leader", "phases"),
-    *("limits", "controller", "start", "output", "editor"),
-)
-
 
 def _check_keys(values: Mapping[str, Any], _: object) -> Mapping[str, Any]:
     """Refuse another version, unknown keys, and keys of another kind of motion."""
@@ -530,7 +525,11 @@ def _check_keys(values: Mapping[str, Any], _: object) -> Mapping[str, Any]:
     for key, other in others.items():
         if key in values:
             raise Refusal(f"goes with kind = {other!r}; the kind is {kind!r}", key)
-    return read_keys(values, [key for key in _TASK_KEYS if key not in others])
+    keys = (
+        *("version", "kind", "name", "continuity", "repeat", "arm", "scene", "keyframes", "leader", "phases"),
+        *("limits", "controller", "start", "output", "editor"),
+    )
+    return read_keys(values, [key for key in keys if key not in others])
 
 
 def _read_list(kind: type[Keyframe | Phase], key: str, least: int) -> PlainValidator:
@@ -565,15 +564,6 @@ _READ_AS: Mapping[str, Any] = {
 }
 """What the value of each key is read as; after the arm, on which many of them depend."""
 
-_OTHER_NAMES = {
-    "keyframes": "motion",
-    "leader": "motion",
-    "phases": "motion",
-    "output": "formats",
-    "editor": "scans",
-}
-"""Arguments of `Task` with other names than their keys."""
-
 
 def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
     """Return the arguments of `Task`.
@@ -593,7 +583,11 @@ def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
     parts = document.read_all({key: kind for key, kind in _READ_AS.items() if key in values or key in needed})
     scene = parts["scene"]
     _check_surroundings(document, parts.get(motion), scene)
-    arguments = {_OTHER_NAMES.get(key, key): value for key, value in parts.items()}
+    names = dict.fromkeys(("keyframes", "leader", "phases"), "motion") | {
+        "output": "formats",
+        "editor": "scans",
+    }
+    arguments = {names.get(key, key): value for key, value in parts.items()}
     return {
         "arm": document.arm,
         "name": document.path.stem,

@@ -148,14 +148,14 @@ def test_a_joint_without_the_torque_to_hold_the_shape_is_named() -> None:
 
 def test_bodies_have_the_colours_of_their_torques_if_these_are_known() -> None:
     pytest.importorskip("viser")
-    from pinposture.editor.ui.arm import TORQUES, body_colors
+    from pinposture.editor.ui.arm import COLORING, body_colors
 
     arm = six_modules()
     torques = np.abs(arm.at(arm.straight()).gravity_torques)
     shades = np.full((12, 3), 7, dtype=np.uint8)
     for weighed, known in ((arm.with_effort(0.9 * float(torques.max())), True), (arm, False)):
         live = SimpleNamespace(arm=weighed, state=weighed.at(weighed.straight()))
-        found = body_colors(TORQUES, live, shades)  # type: ignore[arg-type]
+        found = body_colors(COLORING.torques, live, shades)  # type: ignore[arg-type]
         if not known:
             np.testing.assert_array_equal(found, shades)
             continue

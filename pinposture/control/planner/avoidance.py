@@ -79,9 +79,6 @@ AVOIDANCE = AvoidanceSettings()
 
 BRAKING_HARDER = "acceleration limit: braking within it would cause contact"
 
-MEASURED_ARM = "the measured arm"
-"""Beginning of messages on pairs at which the measured arm limits a step, not the commanded one."""
-
 
 def describe_lost_margin(pair: Sequence[str], distance: float, margin: float) -> str:
     """Return the message on a pair that is closer than the margin [m]."""
@@ -677,7 +674,7 @@ class Avoidance:
         if measured is not None:
             more = len(measured.distances)
             which = self._which(measured, binding[count : count + more], stuck)
-            words += tuple(f"{MEASURED_ARM}: {message}" for message in self._describe(measured, which))
+            words += tuple(f"the measured arm: {message}" for message in self._describe(measured, which))
             count += more
         return (
             words + self._describe_constraints(state, binding[count:], stuck) if self.constrained else words

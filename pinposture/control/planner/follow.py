@@ -103,9 +103,6 @@ PATH_TOLERANCES = PathTolerances(
 )
 """Tolerances of the steps that a kernel computes ahead."""
 
-CANNOT_EVADE = "no step within the limits leads the measured arm away from what it is too close to"
-"""Reason for which an arm at its target stands, though the measured one has lost the margin there."""
-
 
 class StepsAhead(NamedTuple):
     """The next steps on a path, valid while the arm follows them exactly.
@@ -1074,7 +1071,7 @@ def check_step(
             )
         if progress.arrived and not (reason or np.any(dq)):
             if avoidance.offset is not None:
-                reason = CANNOT_EVADE
+                reason = "no step within the limits leads the measured arm away from what it is too close to"
             elif avoidance.still:
                 reason = _describe_end(progress.objective, state)
         violated += relaxed

@@ -214,10 +214,6 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
     return SectionSet(tuple(points), left, found)
 
 
-LEAST_INDEX = 1e-6
-"""Lower bound of indices in `best_chain`, where singular sections are allowed."""
-
-
 def best_chain(
     arm: Arm, screws: Screws, eligible: NDArray[np.bool_], section_sizes: tuple[int, ...]
 ) -> NDArray[np.bool_]:
@@ -236,9 +232,10 @@ def best_chain(
     region = np.flatnonzero(eligible)
     if not len(region):
         return chosen
-    edges = section_edges(arm, screws, eligible, LEAST_INDEX, section_sizes)
+    least = 1e-6  # index of sections that are singular, which are allowed
+    edges = section_edges(arm, screws, eligible, least, section_sizes)
     fits = np.arange(len(eligible) + 1) >= np.array(section_sizes)[:, None]
-    logs = np.where(edges.stable, edges.logs, np.log(LEAST_INDEX))
+    logs = np.where(edges.stable, edges.logs, np.log(least))
     edges = edges._replace(stable=fits & np.append(False, eligible), logs=logs)
     points = best_branch(edges, int(region[0]), int(region[-1]), "geometric").points
     chosen[list(points) or region[-1:]] = True

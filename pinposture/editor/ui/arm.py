@@ -48,19 +48,29 @@ from pinposture.viz.postures import POSTURES, drawn_length, principal_frame
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 
+
+class Colorings(NamedTuple):
+    """By what bodies are coloured, as the page calls it."""
+
+    at_limits: str = "joints at limits"
+    near_singular: str = "distance from singularity"
+    modules: str = "modules only"
+    torques: str = "torque at rest"
+
+
+COLORING = Colorings()
+
 COLORINGS = {
-    "joints at limits": ((THEME.mark, "a joint at a limit"),),
-    "distance from singularity": (
+    COLORING.at_limits: ((THEME.mark, "a joint at a limit"),),
+    COLORING.near_singular: (
         (palette.index_color(0.0), "singular"),
         (palette.index_color(0.25 * THEME.regular_index), "near"),
         (palette.index_color(THEME.regular_index), "far from it"),
     ),
-    "modules only": (),
-    "torque at rest": tuple((shade, meaning) for _, shade, _, meaning in LOADS),
+    COLORING.modules: (),
+    COLORING.torques: tuple((shade, meaning) for _, shade, _, meaning in LOADS),
 }
-"""By what bodies are coloured: for each choice, the colours and what they mean."""
-
-AT_LIMITS, NEAR_SINGULAR, _, TORQUES = COLORINGS
+"""For each choice, the colours and what they mean."""
 
 
 class ArmLook(NamedTuple):
@@ -181,16 +191,16 @@ def _group_alike(surfaces: tuple[TriangleMesh, ...]) -> list[tuple[TriangleMesh,
 
 def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
     """Return the colours of the bodies, (n, 3), by one of `COLORINGS`; their own shades are the default."""
-    if coloring == AT_LIMITS and np.any(live.at_limit):
+    if coloring == COLORING.at_limits and np.any(live.at_limit):
         colors: Colors = shades.copy()
         colors[live.at_limit[live.arm.chain.input_numbers]] = color(THEME.mark)
         return colors
-    if coloring == NEAR_SINGULAR:
+    if coloring == COLORING.near_singular:
         indices = stretch_indices(live.state)
         shown = [color(palette.index_color(float(index))) for index in indices]
         by_module: Colors = np.array(shown, dtype=np.uint8)
         return np.repeat(by_module, [len(joints) for joints in live.arm.module_joints], axis=0)
-    if coloring == TORQUES and live.arm.torques_known:
+    if coloring == COLORING.torques and live.arm.torques_known:
         return np.array([color(LOADS[level][1]) for level in load_levels(live.state)], dtype=np.uint8)
     return shades
 
@@ -415,7 +425,7 @@ class ArmTab:
 
 def _meaning(coloring: str, arm: Arm) -> str:
     """Return what the colours of bodies mean, as HTML."""
-    if coloring == TORQUES and not arm.torques_known:
+    if coloring == COLORING.torques and not arm.torques_known:
         return legend_html([(THEME.rest, "masses or torque limits are not known")])
     return legend_html(COLORINGS[coloring])
 

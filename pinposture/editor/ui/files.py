@@ -20,7 +20,6 @@ from pinposture.motion.latest import EXPECTED_ERRORS, Done, Latest
 from pinposture.task import Task
 
 NO_FILE = "choose a task file"  # shown where none is chosen
-LISTING_PERIOD = 2.0  # between two looks at the folder [s]
 
 TOUR_SEEN_KEY = "pinposture-tour"  # in the storage of each browser that has shown the tour
 
@@ -121,7 +120,7 @@ class FileTab:
             self._typed = _relative_name(session.path, session.folder)
             put(self._path, value=self._typed)
         if time.monotonic() >= self._due:
-            self._due = time.monotonic() + LISTING_PERIOD
+            self._due = time.monotonic() + 2.0  # [s]
             put(self._choice, options=(NO_FILE, *task_files(session.folder)))
 
     def _choose(self, name: str) -> None:
@@ -154,9 +153,6 @@ def _relative_name(path: Path, folder: Path) -> str:
     return path.name
 
 
-EXPORT_GROUPS = (("Motion as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Picture", "Animation")))
-
-
 class RequestedExport(NamedTuple):
     """A file that a user waits for."""
 
@@ -177,7 +173,8 @@ class ExportButtons:
             _send, "pinposture-export", deliver=lambda done: post(partial(self._report, done))
         )
         hint = "The motion of the whole task as it is now; it is computed first if necessary"
-        for label, kinds in EXPORT_GROUPS:
+        groups = (("Motion as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Picture", "Animation")))
+        for label, kinds in groups:
             server.gui.add_button_group(label, kinds, hint=hint).on_click(self._on_click)
         self._bar = server.gui.add_progress_bar(0.0, visible=False, animated=True)
         self._text = server.gui.add_markdown("", visible=False)

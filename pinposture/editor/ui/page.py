@@ -98,7 +98,6 @@ class StatusSettings(NamedTuple):
 STATUS = StatusSettings()
 
 
-AVOIDING_CONTROLLER = "geodesic"
 IN_SIGHT = """<style>
 div:has(> #always) {position: sticky; top: 0; z-index: 5; background: white}
 div:has(> div > div > div > #always) {overflow: visible !important}
@@ -175,8 +174,8 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
         return "warning", head, live.reason
     notes = list(verdict.notes)
     controller = session.task.controller.name
-    if obstacles_of(session.task) and controller != AVOIDING_CONTROLLER:
-        notes.append(f"{controller} ignores obstacles, {AVOIDING_CONTROLLER} avoids them")
+    if obstacles_of(session.task) and controller != "geodesic":
+        notes.append(f"{controller} ignores obstacles, geodesic avoids them")
     return "warning" if _is_off(session, live) else "good", head, "; ".join(notes)
 
 

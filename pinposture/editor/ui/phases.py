@@ -39,8 +39,6 @@ from pinposture.viz.palette import THEME
 
 Array = NDArray[np.float64]
 
-DEGREE = np.pi / 180.0
-
 
 class PhaseLook(NamedTuple):
     """How the path of a leader and the goal of a tip are drawn, and their fields."""
@@ -84,7 +82,9 @@ NUMBERS = {
 VECTORS = {
     "position": PhaseField("Goal [mm]", MILLIMETRE, 0, "Where the tip has to be, world frame"),
     "direction": PhaseField("Tip along", 1.0, 4, "Direction of the last link there, world frame"),
-    "rotation": PhaseField("Tip turned [deg]", DEGREE, 2, "Roll, pitch and yaw of the last link there"),
+    "rotation": PhaseField(
+        "Tip turned [deg]", np.pi / 180.0, 2, "Roll, pitch and yaw of the last link there"
+    ),
 }
 """Fields for the values of phases, by attribute."""
 

@@ -88,7 +88,6 @@ class TraceSettings(NamedTuple):
 
 TRACE = TraceSettings()
 
-MILLI = 1e3
 NO_TIMES = np.zeros(0)
 
 
@@ -264,8 +263,8 @@ class Plots:
         self._clients: tuple[int, ...] = ()
         self._connected = 0.0  # when a browser came or left last
         self._shown: tuple[object, object] = None, None
-        self._low = float(10.0 ** np.floor(np.log10(TRACE.least_error * length * MILLI)))
-        high = float(10.0 ** np.ceil(np.log10(length * MILLI)))
+        self._low = float(10.0 ** np.floor(np.log10(TRACE.least_error * length * 1e3)))
+        high = float(10.0 ** np.ceil(np.log10(length * 1e3)))
         with tab:
             self._legend = server.gui.add_html("", order=3.0)
             self._plot = server.gui.add_uplot(
@@ -329,7 +328,7 @@ class Plots:
     def _data(self, trace: Trace, marks: Array, at: Array) -> tuple[Array, ...]:
         """Return the columns of the plot, in the order of its lines."""
         absent = np.full(len(trace.time), -TRACE.outside)
-        errors = [np.clip(MILLI * values, self._low, None) for values in (trace.largest, trace.mean)]
+        errors = [np.clip(1e3 * values, self._low, None) for values in (trace.largest, trace.mean)]
         rates = [absent if values is None else values for values in (trace.acceleration, trace.speed)]
         columns = [*errors, *rates, np.ones(len(trace.time))]
         return with_lines(trace.time, columns, (marks, at), -TRACE.outside, TRACE.outside)
@@ -594,29 +593,36 @@ def at_usual_speed(session: Session) -> None:
     session.playback.at_speed(1.0)
 
 
-PLAY = "Play"
-PAUSE = "Pause"
-LIVE = "Live"
-SLOWER = "Slower"
-FASTER = "Faster"
-LOOP_OFF = "Loop: off"
-LOOP_ON = "Loop: on"
+class PlayerLabels(NamedTuple):
+    """Labels of the buttons, which show the state."""
+
+    play: str = "Play"
+    pause: str = "Pause"
+    live: str = "Live"
+    slower: str = "Slower"
+    faster: str = "Faster"
+    loop_off: str = "Loop: off"
+    loop_on: str = "Loop: on"
+
+
+LABEL = PlayerLabels()
+
 BUTTONS: dict[str, Callable[[Session], None]] = {
-    PLAY: play,
-    PAUSE: lambda session: session.playback.pause(),
-    LIVE: stop,
-    SLOWER: partial(change_speed, -1),
-    FASTER: partial(change_speed, 1),
-    LOOP_OFF: lambda session: session.playback.in_loop(True),
-    LOOP_ON: lambda session: session.playback.in_loop(False),
+    LABEL.play: play,
+    LABEL.pause: lambda session: session.playback.pause(),
+    LABEL.live: stop,
+    LABEL.slower: partial(change_speed, -1),
+    LABEL.faster: partial(change_speed, 1),
+    LABEL.loop_off: lambda session: session.playback.in_loop(True),
+    LABEL.loop_on: lambda session: session.playback.in_loop(False),
 }
-"""What the buttons do, by their labels, which show the state."""
+"""What the buttons do, by their labels."""
 
 
 def _labels(playback: Playback) -> tuple[str, ...]:
-    first = PAUSE if playback.playing else PLAY
-    last = LOOP_ON if playback.loop else LOOP_OFF
-    return first, LIVE, SLOWER, f"{playback.speed:g}x", FASTER, last
+    first = LABEL.pause if playback.playing else LABEL.play
+    last = LABEL.loop_on if playback.loop else LABEL.loop_off
+    return first, LABEL.live, LABEL.slower, f"{playback.speed:g}x", LABEL.faster, last
 
 
 class DrawnPass(NamedTuple):

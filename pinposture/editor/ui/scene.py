@@ -64,11 +64,6 @@ class ScanLook(NamedTuple):
 
 SCAN = ScanLook()
 
-EXPLANATION = (
-    "A **scan** (a mesh or points) is shown with its clearance, but the arm does **not** avoid it. "
-    "An **obstacle** it avoids, and it can move within its cavities."
-)
-
 
 class Scans:
     """The scans of the task in the page."""
@@ -127,7 +122,10 @@ class ScanControls:
         self._post = post
         gui = server.gui
         self._folder: Path | None = None
-        gui.add_markdown(EXPLANATION)
+        gui.add_markdown(
+            "A **scan** (a mesh or points) is shown with its clearance, but the arm does **not** avoid it. "
+            "An **obstacle** it avoids, and it can move within its cavities."
+        )
         self._kind = gui.add_dropdown("Load as", ("scan", "obstacle"), hint="Files: .ply .xyz .npy .stl .obj")
         hint = "Scale factor of an obstacle: 0.001 for a file in millimetres"
         self._scale = gui.add_number("scale", 1.0, min=0.0, step=0.001, hint=hint, visible=False)
@@ -229,9 +227,6 @@ VECTOR_LABELS = {
     "rotation": ("Rotation [deg]", "Roll, pitch, yaw"),
 }
 """Labels and hints of values of three numbers, by attribute."""
-
-VECTOR_UNITS = {"normal": 1.0, "rotation": np.pi / 180.0}
-"""Units of those that are no lengths."""
 
 
 def number_labels() -> dict[str, str]:
@@ -513,7 +508,7 @@ class SceneTab:
             by = {"rotation": 1.0, "normal": 0.005}.get(key, step)
             field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=by, hint=hint, visible=False)
             field.precision = {"rotation": DIGITS.angle, "normal": DIGITS.direction}.get(key, digits)
-            fields[key] = field, VECTOR_UNITS.get(key, MILLIMETRE)
+            fields[key] = field, {"rotation": np.pi / 180.0, "normal": 1.0}.get(key, MILLIMETRE)
         for key, label in number_labels().items():
             number = gui.add_number(label, 0.0, min=0.0, step=step, visible=False)
             number.precision = finer

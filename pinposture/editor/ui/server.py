@@ -33,13 +33,6 @@ from websockets.frames import CloseCode
 
 from pinposture.errors import PostureError, ViewerError
 
-RESPONSE_HEADERS = {
-    "Referrer-Policy": "no-referrer",  # a link must not reveal the address
-    "X-Frame-Options": "DENY",  # nor may another page show this one, and have it clicked on
-    "X-Content-Type-Options": "nosniff",
-    "Cache-Control": "no-store",
-}
-
 ALIVE_PATH = "/alive"
 """What the page asks for, behind the secret, to learn whether the server is still there."""
 
@@ -100,15 +93,12 @@ class Channel(NamedTuple):
             async for message in connection:
                 await connection.send(self.answer(name, message))
         except PostureError as error:
-            await connection.close(CloseCode.POLICY_VIOLATION, str(error)[:LONGEST_REASON])
+            reason = str(error)[:60]  # there is room for 123 bytes
+            await connection.close(CloseCode.POLICY_VIOLATION, reason)
         except ConnectionClosed:
             pass
         finally:
             self.leave(name)
-
-
-LONGEST_REASON = 60
-"""Number of characters of the reason for which a connection is closed: it has room for 123 bytes."""
 
 
 class Entrance:
@@ -246,7 +236,14 @@ def _guarded_servers(
             else:
                 response = process_request(connection, _plain_page(replace(request, path=path)))
             if response is not None:
-                response.headers.update(RESPONSE_HEADERS)
+                response.headers.update(
+                    {
+                        "Referrer-Policy": "no-referrer",  # a link must not reveal the address
+                        "X-Frame-Options": "DENY",  # nor may another page show it, and have it clicked on
+                        "X-Content-Type-Options": "nosniff",
+                        "Cache-Control": "no-store",
+                    }
+                )
                 _add_to_head(response, added)
             return response
 
