@@ -39,7 +39,7 @@ from pinposture.errors import PostureError
 from pinposture.motion.drive_response import DriveModel
 from pinposture.sim import Servos, build_plant_model
 from pinposture.sim.drives import Drives
-from pinposture.sim.plant import FAILURES, WEAK, Plant
+from pinposture.sim.plant import FAILURES, PLANT, Plant
 
 Array = NDArray[np.float64]
 
@@ -194,7 +194,7 @@ def let_fall(drawn: Trapped, failure: str, commands: Array) -> Array:
 def measure_fall(drawn: Trapped, failure: str) -> Mapping[str, Any]:
     """Ask for a way out with a joint that falls, perform it, and drive back along the path for comparison."""
     arm = drawn.arm
-    torque = WEAK * float(arm.outstretched_torques[drawn.column]) if failure == "weak" else 0.0
+    torque = PLANT.weak * float(arm.outstretched_torques[drawn.column]) if failure == "weak" else 0.0
     name = arm.joint_names[drawn.column]
     begun = process_time()
     (way,) = pp.can_retreat(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -29,12 +29,20 @@ MOTION_VECTORS = (
 )
 """Vectors of a model with an entry for each degree of freedom."""
 
-MIMIC = "Mimic"
-COMPOSITE = "Composite"
-ENDLESS = "RevoluteUnboundedUnaligned"
+
+class JointTypes(NamedTuple):
+    """Types of joints with a part of their own in a description."""
+
+    mimic: str = "Mimic"
+    composite: str = "Composite"
+    endless: str = "RevoluteUnboundedUnaligned"
+
+
+TYPE = JointTypes()
+
 _PARAMETERS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "PX", "PY", "PZ"), ()),
-    **dict.fromkeys(("RevoluteUnaligned", ENDLESS, "PrismaticUnaligned"), ("axis",)),
+    **dict.fromkeys(("RevoluteUnaligned", TYPE.endless, "PrismaticUnaligned"), ("axis",)),
     **dict.fromkeys(("FreeFlyer", "Planar", "Spherical", "SphericalZYX", "Translation"), ()),
     **dict.fromkeys(("HX", "HY", "HZ"), ("pitch",)),
     "HelicalUnaligned": ("axis", "pitch"),
@@ -107,7 +115,7 @@ class JointData(Declared):
         placements: of these, each in the frame before, (n, 12): the first three rows of a matrix.
     """
 
-    type: Annotated[str, one_of("type of joint", *_PARAMETERS, COMPOSITE)]
+    type: Annotated[str, one_of("type of joint", *_PARAMETERS, TYPE.composite)]
     name: Text = ""
     parent: WholeNumber = 0
     follows: tuple[str, float, float] | None = None
@@ -135,11 +143,11 @@ class JointData(Declared):
         """
         model = joint.extract()
         kind = _kind(joint)
-        if kind == COMPOSITE:
+        if kind == TYPE.composite:
             parts = tuple(cls.of(part) for part in model.joints)
             placements = _describe_placements(model.jointPlacements)
             return cls(type=kind, parts=parts, placements=placements, **about)
-        follows_already = kind == MIMIC
+        follows_already = kind == TYPE.mimic
         if follows_already:  # only its text says what it was
             kind = str(model).partition("Mimicking joint type: JointModel")[2].split("\n")[0]
         known = [
@@ -152,7 +160,7 @@ class JointData(Declared):
         parameters: dict[str, Any] = {
             parameter: getattr(model, parameter, None) for parameter in _PARAMETERS[kind]
         }
-        if parameters and (ratio is not None or kind == ENDLESS):
+        if parameters and (ratio is not None or kind == TYPE.endless):
             screw = np.ravel(joint.createData().S)
             if ratio is not None:
                 screw = _divided(screw if follows_already else ratio * screw, ratio)
@@ -165,7 +173,7 @@ class JointData(Declared):
         Raises:
             InvalidValue: a parameter that its type needs is missing.
         """
-        if self.type == COMPOSITE:
+        if self.type == TYPE.composite:
             whole = pin.JointModelComposite()
             for part, placement in zip(self.parts, _poses(self.placements), strict=True):
                 whole.addJoint(part.build(), placement)
@@ -174,7 +182,7 @@ class JointData(Declared):
         for name, value in parameters.items():
             if value is None:
                 raise InvalidValue(f"{name} of joint {self.name!r}", None, f"that of a joint {self.type}")
-        if self.type == ENDLESS:
+        if self.type == TYPE.endless:
             return _endless_joint(np.array(self.axis))
         given = [
             np.array(parameter) if isinstance(parameter, tuple) else parameter
@@ -236,7 +244,7 @@ class ModelData(Declared):
         for number in range(1, model.njoints):
             name = names[number]
             joint = joints[number]
-            if _kind(joint) == MIMIC:
+            if _kind(joint) == TYPE.mimic:
                 mimic = joint.extract()
                 added[name] = leaders[joint.idx_v], float(mimic.scaling), float(mimic.offset)
             elif name not in added:
@@ -353,7 +361,7 @@ def _following(
     plain = {
         str(model.names[number]): joint
         for number, joint in enumerate(model.joints)
-        if number and joint.nv == 1 and _kind(joint) != MIMIC
+        if number and joint.nv == 1 and _kind(joint) != TYPE.mimic
     }
     require_known("leading joint", name, plain)
     leader = plain[name]

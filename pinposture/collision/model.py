@@ -53,13 +53,14 @@ class PairSelection(NamedTuple):
     listed: int = 4
     """Largest number of pairs that a warning lists."""
 
+    close: str = "within the margin however the arm bends"
+    """Why a pair is left out, which is said in a warning."""
+
+    overlapping: str = "overlapping in every posture"
+    """The same of a pair whose bodies intersect."""
+
 
 PAIRS = PairSelection()
-
-
-ALWAYS_CLOSE = "within the margin however the arm bends"
-ALWAYS_OVERLAPPING = "overlapping in every posture"
-"""Reasons for excluding a pair that also cause a warning."""
 
 
 MOTION_TOLERANCE = 1e-4
@@ -208,7 +209,7 @@ def _choose_pairs(
     left = [pair for pair in candidates if pair not in excluded]
     close = _always_close(objects, left, scene.margin)
     overlapping = _always_close(objects, close, 0.0)
-    excluded |= dict.fromkeys(close, ALWAYS_CLOSE) | dict.fromkeys(overlapping, ALWAYS_OVERLAPPING)
+    excluded |= dict.fromkeys(close, PAIRS.close) | dict.fromkeys(overlapping, PAIRS.overlapping)
     return candidates, excluded
 
 
@@ -606,7 +607,7 @@ class CollisionModel:
 
     def _warn_of_excluded_pairs(self) -> None:
         apart = f"nothing keeps them apart (margin {length_text(self.scene.margin)})"
-        for reason, so in ((ALWAYS_CLOSE, apart), (ALWAYS_OVERLAPPING, "these collisions are ignored")):
+        for reason, so in ((PAIRS.close, apart), (PAIRS.overlapping, "these collisions are ignored")):
             pairs = [
                 f"{pair.first} to {pair.second}" for pair in self.excluded_pairs if pair.reason == reason
             ]

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -199,7 +199,7 @@ class Curve(Geometry):
         data = as_points(points)
         check_distinct(data)
         n = len(data)
-        if smoothing > 0 and n > _FIT_DEGREE:
+        if smoothing > 0 and n > _Fit.degree:
             spans = 4
             while spans < n:
                 fit = _Fit(data, spans)
@@ -207,7 +207,7 @@ class Curve(Geometry):
                     return cls(*fit.smoothest(smoothing))
                 spans *= 2
         # Too few points to smooth, or no smoother curve is close enough.
-        return cls(*interpolate(data, min(_FIT_DEGREE, n - 1)))
+        return cls(*interpolate(data, min(_Fit.degree, n - 1)))
 
     @classmethod
     def from_dict(cls, description: Mapping[str, Any]) -> Curve:
@@ -520,10 +520,6 @@ class ComparisonSamples(NamedTuple):
 COMPARISON = ComparisonSamples()
 
 
-_FIT_DEGREE = 3
-_PENALTY_ORDER = 3  # order of the penalised derivative; the second would flatten the ends
-
-
 def chord_parameters(points: Array) -> Array:
     """Return the chord-length parameters (n,), from 0 to 1, of points (n, 3)."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
@@ -554,13 +550,19 @@ def _frame(axis: Array) -> tuple[Array, Array, Array]:
 
 
 class _Fit:
-    """Cubic smoothing splines with uniform knots and a penalty on the third derivative."""
+    """Cubic smoothing splines with uniform knots and a penalty on the third derivative.
+
+    A penalty on the second derivative would flatten the ends.
+    """
+
+    degree: ClassVar[int] = 3
+    order: ClassVar[int] = 3
 
     def __init__(self, data: Array, spans: int) -> None:
-        n_coefficients = spans + _FIT_DEGREE
+        n_coefficients = spans + _Fit.degree
         self.data = data
-        self.knots = clamped_uniform_knots(n_coefficients, _FIT_DEGREE)
-        self.basis = csr_array(BSpline.design_matrix(chord_parameters(data), self.knots, _FIT_DEGREE))
+        self.knots = clamped_uniform_knots(n_coefficients, _Fit.degree)
+        self.basis = csr_array(BSpline.design_matrix(chord_parameters(data), self.knots, _Fit.degree))
         scale = spans / len(data)  # so that the entries of both matrices are of order one
         normal = (self.basis.T @ self.basis) * scale
         difference = self._difference(spans)
@@ -569,13 +571,13 @@ class _Fit:
         self.right = (self.basis.T @ data) * scale
         # Logarithms of the penalty weight: enough for a unique solution, and nearly a parabola.
         self.least = math.log(1e-8)
-        self.most = math.log(1e-3 * spans ** (2 * _PENALTY_ORDER))
+        self.most = math.log(1e-3 * spans ** (2 * _Fit.order))
 
     def _difference(self, spans: int) -> csr_array:
         """Return the matrix from coefficients to those of the third derivative, in units of one span."""
         knots = self.knots
-        result = csr_array(eye_array(len(self.knots) - _FIT_DEGREE - 1))
-        for degree in range(_FIT_DEGREE, _FIT_DEGREE - _PENALTY_ORDER, -1):
+        result = csr_array(eye_array(len(self.knots) - _Fit.degree - 1))
+        for degree in range(_Fit.degree, _Fit.degree - _Fit.order, -1):
             widths = (knots[degree + 1 : -1] - knots[1 : -degree - 1]) / degree * spans
             result = diags_array(1 / widths) @ (result[1:] - result[:-1])
             knots = knots[1:-1]
@@ -595,12 +597,12 @@ class _Fit:
         weight = self.most
         if self.rms(weight) > distance:
             weight = brentq(lambda w: self.rms(w) - distance, self.least, self.most, xtol=1e-6)
-        return self.knots, self.coefficients(weight), _FIT_DEGREE
+        return self.knots, self.coefficients(weight), _Fit.degree
 
 
 def _upper_bands(matrix: csr_array) -> Array:
     """Return the diagonals of a symmetric matrix in LAPACK's order, from the uppermost to the main one."""
-    bands = range(max(_FIT_DEGREE, _PENALTY_ORDER), -1, -1)
+    bands = range(max(_Fit.degree, _Fit.order), -1, -1)
     return np.stack([np.append(np.zeros(i), matrix.diagonal(i)) for i in bands])
 
 

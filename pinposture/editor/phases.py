@@ -94,21 +94,18 @@ def phase_label(phases: tuple[Phase, ...], index: int) -> str:
     return f"{index + 1}{name}  ·  {_kind(phase)}"
 
 
-KINDS: dict[type, str] = {
-    Leader: "along a path",
-    TipGoal: "tip to a goal",
-    Withdrawal: "way out",
-    Wrapping: "around an object",
-    Carrying: "carries it",
-    Release: "lets go of it",
-}
-"""What phases without keyframes do, in a word."""
-
-
 def _kind(phase: Phase) -> str:
     """Say in a word what a phase does."""
     count = len(keyed(phase))
-    return KINDS.get(type(phase.motion), f"{count} keyframe{'s' * (count > 1)}")
+    words: dict[type, str] = {
+        Leader: "along a path",
+        TipGoal: "tip to a goal",
+        Withdrawal: "way out",
+        Wrapping: "around an object",
+        Carrying: "carries it",
+        Release: "lets go of it",
+    }
+    return words.get(type(phase.motion), f"{count} keyframe{'s' * (count > 1)}")
 
 
 def editable(task: Task, index: int | None = None) -> Task:

@@ -261,9 +261,8 @@ logger = logging.getLogger(__name__)
 
 
 SMALLEST_NOISE = 1e-9
-LARGEST_DEVIATION = 1e6
-"""Standard deviations [rad, m, 1/m or `Arm.joint_units`] and times [s] that are possible: no reading is
-exact, and squares must stay finite."""
+"""Smallest standard deviation [rad, m, 1/m or `Arm.joint_units`] or time [s] that is possible: no reading is
+exact."""
 
 SIDES = ("joint", "motor")
 """Where encoders are."""
@@ -698,10 +697,10 @@ def _complete(read: Array) -> NDArray[np.intp]:
 
 def _bounded(name: str, value: float, zero: bool = False) -> float:
     """Return a number whose square is neither zero nor huge, or zero where that is allowed."""
-    words = f"{'0, or ' if zero else ''}{SMALLEST_NOISE:g} to {LARGEST_DEVIATION:g}"
+    words = f"{'0, or ' if zero else ''}{SMALLEST_NOISE:g} to 1e+06"
     return as_number(
         name,
         value,
         words,
-        lambda number: SMALLEST_NOISE <= number <= LARGEST_DEVIATION or (zero and number == 0.0),
+        lambda number: SMALLEST_NOISE <= number <= 1e6 or (zero and number == 0.0),
     )

@@ -82,15 +82,6 @@ class PageSettings(NamedTuple):
 
 LIVE_PAGE = PageSettings()
 
-MODE_KINDS = {
-    "holds": "info",
-    "goes to the start": "warning",
-    "runs": "good",
-    "stands": "warning",
-    "waits": "warning",
-}
-"""Colours of the status, by the mode of the operation."""
-
 
 class Margin(NamedTuple):
     """What is left before something stops the arm.
@@ -146,7 +137,7 @@ def bars_html(margins: Iterable[Margin]) -> str:
 
 def status_html(operation: Operation | Replay, shown: Shown, age: float) -> str:
     """Return what an operation does and why, given the age of its last cycle [s], as HTML."""
-    kind = MODE_KINDS[shown.mode]
+    kind = {"holds": "info", "runs": "good"}.get(shown.mode, "warning")
     head = f"The arm {shown.mode}"
     reason = shown.reason
     if age > LIVE_PAGE.old:

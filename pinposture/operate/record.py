@@ -38,22 +38,6 @@ FORMAT = 1
 FLOAT32 = 7
 """Numbers of single precision in a `foxglove.PointCloud`."""
 
-CLOUD_SCHEMA = json.dumps(
-    {
-        "type": "object",
-        "title": "foxglove.PointCloud",
-        "properties": {
-            "timestamp": {"type": "object"},
-            "pose": {"type": "object"},
-            "frame_id": {"type": "string"},
-            "point_stride": {"type": "integer"},
-            "fields": {"type": "array", "items": {"type": "object"}},
-            "data": {"type": "string", "contentEncoding": "base64"},
-        },
-    }
-).encode()
-"""What a cloud consists of: that of Foxglove, as JSON, which needs no compiler of messages to be read."""
-
 
 class Recorder:
     """Writes each cycle of an operation to a file, in a thread of its own.
@@ -88,7 +72,20 @@ class Recorder:
         except (OSError, RuntimeError) as error:
             raise FileError(self.path, f"cannot be written ({error}); allowed: a new file") from error
         self._cycles = Channel(CYCLES, message_encoding="json", context=context)
-        schema = Schema(name="foxglove.PointCloud", encoding="jsonschema", data=CLOUD_SCHEMA)
+        # What a cloud consists of: that of Foxglove, as JSON, which needs no compiler of messages to be read.
+        cloud = {
+            "type": "object",
+            "title": "foxglove.PointCloud",
+            "properties": {
+                "timestamp": {"type": "object"},
+                "pose": {"type": "object"},
+                "frame_id": {"type": "string"},
+                "point_stride": {"type": "integer"},
+                "fields": {"type": "array", "items": {"type": "object"}},
+                "data": {"type": "string", "contentEncoding": "base64"},
+            },
+        }
+        schema = Schema(name="foxglove.PointCloud", encoding="jsonschema", data=json.dumps(cloud).encode())
         self._map = Channel(MAP, schema=schema, message_encoding="json", context=context)
         joints = channels.JointStatesChannel
         self._joints = {

@@ -44,7 +44,7 @@ from pinposture.placement.module_kinematics import (
     kinematics_names,
 )
 from pinposture.placement.target import (
-    IN_MILLIMETRES,
+    ADVISE,
     Moved,
     PlacedModules,
     Target,
@@ -85,10 +85,6 @@ class PlacementTolerances(NamedTuple):
 
 
 PLACING = PlacementTolerances()
-
-GENTLER = "use a gentler curve, wider joint limits or shorter modules"
-AT_THE_BASE = 'use placement="translate" or "align"'
-"""Advice for a curve that bends too much, and for one that does not begin at the base."""
 
 
 def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = None) -> PlacedModules:
@@ -288,11 +284,11 @@ class Walk:
             advice = f"the module reaches {length_text(reach)}; lengthen the curve or use fewer modules"
             return CurveEndsEarly(module, at, f"the curve ends {length_text(left)} beyond its base; {advice}")
         if gap > reach:
-            text = f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
+            text = f"the curve passes {length_text(gap)} from the base; {ADVISE.at_the_base}"
             return CurveLeavesTooSharply(module, at, text)
         text = "no posture within its joint limits puts its end on the curve"
         kind = CurveLeavesTooSharply if group.module == 0 else CurveBendsTooMuch
-        return kind(module, at, f"{text}; {GENTLER}")
+        return kind(module, at, f"{text}; {ADVISE.gentler}")
 
 
 def _failure(arm: Arm, curve: Curve, group: JointGroup, state: Array, exceeded: str) -> TargetError:
@@ -320,10 +316,12 @@ def _failure(arm: Arm, curve: Curve, group: JointGroup, state: Array, exceeded: 
         return CurveEndsEarly(module, at, f"{text}; {advice}")
     if crossings:
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
-        return kind(module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {GENTLER}")
+        return kind(
+            module, at, f"its joint limits do not allow it to follow the curve{exceeded}; {ADVISE.gentler}"
+        )
     gap = float(np.linalg.norm(first))
     if gap > reach:
-        text = f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
+        text = f"the curve passes {length_text(gap)} from the base; {ADVISE.at_the_base}"
         return CurveLeavesTooSharply(module, at, text)
     if group.kinematics.dof == 1 and abs(last[1]) > slack:
         text = f"the curve is {length_text(abs(last[1]))} off the plane in which the module moves"
@@ -440,7 +438,7 @@ def far_moved(arm: Arm, what: str, moved: Moved) -> str:
     share = f"{moved.distance / arm.length:.2g} of the arm length"
     advice = 'placement="as_is" keeps it in place, "align" moves it without this warning'
     if moved.distance > 10.0 * arm.length:  # another unit of length
-        advice = IN_MILLIMETRES
+        advice = ADVISE.in_millimetres
     return f"{what} was {moved} to the base of the arm ({share}); {advice}"
 
 
@@ -642,11 +640,14 @@ def _obstruction(
         return CurveOutOfReach, f"prismatic joints are at their limits: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
     if gap > ROUNDING * arm.length and not np.any(arm.base_slides):
-        return CurveLeavesTooSharply, f"the curve passes {length_text(gap)} from the base; {AT_THE_BASE}"
+        return (
+            CurveLeavesTooSharply,
+            f"the curve passes {length_text(gap)} from the base; {ADVISE.at_the_base}",
+        )
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"
         return CurveBendsTooMuch, f"its joint axes are parallel, so it moves in a plane; {advice}"
     if stuck:
         listed = ", ".join(repr(names[u]) for u in stuck[:3]) + (", ..." if len(stuck) > 3 else "")
-        return CurveBendsTooMuch, f"joints are at their limits: {listed}; {GENTLER}"
+        return CurveBendsTooMuch, f"joints are at their limits: {listed}; {ADVISE.gentler}"
     return CurveBendsTooMuch, "use a gentler curve or shorter modules"

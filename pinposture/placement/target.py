@@ -30,14 +30,20 @@ from pinposture.units import ROUNDING, length_text
 Array = NDArray[np.float64]
 
 
-RESOLVE_AGAIN = "the target belongs to another arm: resolve it for this one"
-
-
 MAX_LENGTH_RATIO = 100
 """Length of a curve, and distance of a point from the base, that suggest another unit, in arm lengths."""
 
-IN_MILLIMETRES = "if it is in millimetres, load it with scale=0.001"
-"""Advice on a curve that is too large."""
+
+class TargetAdvice(NamedTuple):
+    """What to do about a curve or a target."""
+
+    resolve_again: str = "the target belongs to another arm: resolve it for this one"
+    in_millimetres: str = "if it is in millimetres, load it with scale=0.001"
+    gentler: str = "use a gentler curve, wider joint limits or shorter modules"
+    at_the_base: str = 'use placement="translate" or "align"'
+
+
+ADVISE = TargetAdvice()
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +208,7 @@ class Target:
         allowed = 0.01 * arm.length  # farther, it belongs to another arm
         if missed > allowed:
             name = "mean distance of target.points from the posture of this arm at target.q [m]"
-            raise InvalidValue(name, float(f"{missed:.3g}"), f"{allowed:.3g} at most; {RESOLVE_AGAIN}")
+            raise InvalidValue(name, float(f"{missed:.3g}"), f"{allowed:.3g} at most; {ADVISE.resolve_again}")
 
     def region(self, first: int, last: int) -> Target:
         """Return the same target for control points `first` to `last` only; the others are free.
@@ -284,7 +290,7 @@ def check_numbers(target: Target, arm: Arm) -> None:
     m = arm.n_modules
     for name, values, shape in (("points", target.points, (m, 3)), ("q", target.q, (arm.nq,))):
         if values is not None and values.shape != shape:
-            allowed = f"{shape} for this arm; {RESOLVE_AGAIN}"
+            allowed = f"{shape} for this arm; {ADVISE.resolve_again}"
             raise InvalidValue(f"target.{name} (shape)", values.shape, allowed)
     if target.weights.shape != (m,):
         raise InvalidValue("target.weights (shape)", target.weights.shape, f"({m},) for this arm")
@@ -405,7 +411,7 @@ def length_misfit(arm: Arm, curve: Curve) -> str:
     if curve.length <= longest:
         return ""
     allowed = f"{length_text(longest)} at most, {MAX_LENGTH_RATIO} times the arm"
-    return f"is {length_text(curve.length)} long; allowed: {allowed}; {IN_MILLIMETRES}"
+    return f"is {length_text(curve.length)} long; allowed: {allowed}; {ADVISE.in_millimetres}"
 
 
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:

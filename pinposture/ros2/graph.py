@@ -13,17 +13,6 @@ from pinposture.errors import PostureError, install
 
 """How to get rclpy."""
 
-MESSAGES = (
-    "diagnostic_msgs",
-    "geometry_msgs",
-    "nav_msgs",
-    "rosgraph_msgs",
-    "sensor_msgs",
-    "std_msgs",
-    "trajectory_msgs",
-)
-"""Packages of messages that the nodes need."""
-
 
 class RosMissing(PostureError, ImportError):
     """Something of ROS 2 is not installed or cannot be loaded.
@@ -58,7 +47,8 @@ def open_node(name: str, ros_args: Sequence[str] = (), domain: int | None = None
         import rclpy
         from rclpy.signals import SignalHandlerOptions
 
-        for package in MESSAGES:
+        kinds = ("diagnostic", "geometry", "nav", "rosgraph", "sensor", "std", "trajectory")
+        for package in (f"{kind}_msgs" for kind in kinds):
             import_module(f"{package}.msg")
     except ImportError as error:
         raise RosMissing(str(error)) from error

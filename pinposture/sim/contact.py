@@ -39,10 +39,21 @@ from pinposture.schema import CheckedBy, Declared, Duration, declared
 
 Array = NDArray[np.float64]
 
-ARM = "arm"
-OBSTACLE = "obstacle"
-FREE = "free"
-"""Prefixes of names in the MuJoCo model: of shapes of the arm, of obstacles, and of joints of free ones."""
+
+class NamePrefixes(NamedTuple):
+    """How names in the MuJoCo model begin."""
+
+    arm: str = "arm"
+    """Those of shapes of the arm."""
+
+    obstacle: str = "obstacle"
+    """Those of obstacles."""
+
+    free: str = "free"
+    """Those of joints of free obstacles."""
+
+
+PREFIX = NamePrefixes()
 
 
 def _as_masses(name: str, value: Any) -> dict[str, float]:
@@ -195,12 +206,12 @@ def add_contact(spec: Any, arm: Arm, scene: Scene, contact: ContactModel) -> Non
     spec.option.impratio = 10.0
     shapes = []
     for index, (joint, solid) in enumerate(model.solids):
-        shapes.append(f"{ARM} {index} {model.bodies[index]}")
+        shapes.append(f"{PREFIX.arm} {index} {model.bodies[index]}")
         add_shape(spec, spec.body(str(arm.model.names[joint])), shapes[index], solid)
     for name, obstacle in scene.obstacles.items():
-        shapes.append(f"{OBSTACLE} {name}")
+        shapes.append(f"{PREFIX.obstacle} {name}")
         _add_obstacle(spec, name, obstacle, contact.masses.get(name))
-    free = [shape for shape in shapes if shape.removeprefix(f"{OBSTACLE} ") in contact.masses]
+    free = [shape for shape in shapes if shape.removeprefix(f"{PREFIX.obstacle} ") in contact.masses]
     fixed = [shapes[k] for k, (joint, _) in enumerate(model.solids) if joint == 0]
     fixed += [shape for shape in shapes[len(model.solids) :] if shape not in free]
     pairs = [(shapes[first], shapes[second]) for first, second in model.index_pairs]
@@ -222,7 +233,7 @@ def _add_obstacle(spec: Any, name: str, obstacle: Described, mass: float | None)
         raise InvalidValue(f"masses[{name!r}]", mass, f"none, as a {shape.type} has no end")
     (solid,) = shape.solids()
     if mass is None:
-        add_shape(spec, spec.worldbody, f"{OBSTACLE} {name}", solid)
+        add_shape(spec, spec.worldbody, f"{PREFIX.obstacle} {name}", solid)
         return
     inertia = solid_inertia(solid)
     middle = np.array(inertia.lever)
@@ -230,8 +241,8 @@ def _add_obstacle(spec: Any, name: str, obstacle: Described, mass: float | None)
     body = spec.worldbody.add_body(
         pos=middle, explicitinertial=True, mass=mass, ipos=np.zeros(3), fullinertia=[xx, yy, zz, xy, xz, yz]
     )
-    body.add_freejoint(name=f"{FREE} {name}")
-    add_shape(spec, body, f"{OBSTACLE} {name}", solid._replace(position=solid.position - middle))
+    body.add_freejoint(name=f"{PREFIX.free} {name}")
+    add_shape(spec, body, f"{PREFIX.obstacle} {name}", solid._replace(position=solid.position - middle))
 
 
 def add_shape(spec: Any, body: Any, name: str, solid: Solid) -> None:
@@ -294,10 +305,12 @@ class ContactRecorder:
         self._contact = contact
         self._touchable = touchable
         shapes = [str(model.geom(k).name).split(" ", 1) for k in range(model.ngeom)]
-        self._ranks = [(kind != ARM, k) for k, (kind, _) in enumerate(shapes)]  # the arm is first in a pair
-        self._names = [name.split(" ", 1)[1] if kind == ARM else name for kind, name in shapes]
+        self._ranks = [
+            (kind != PREFIX.arm, k) for k, (kind, _) in enumerate(shapes)
+        ]  # the arm is first in a pair
+        self._names = [name.split(" ", 1)[1] if kind == PREFIX.arm else name for kind, name in shapes]
         self._own = tuple(dict.fromkeys(self._names[k] for other, k in sorted(self._ranks) if not other))
-        starts = [int(model.joint(f"{FREE} {name}").qposadr[0]) for name in contact.masses]
+        starts = [int(model.joint(f"{PREFIX.free} {name}").qposadr[0]) for name in contact.masses]
         self._free = [slice(start, start + 7) for start in starts]
         self._begins: dict[Pair, tuple[float, float]] = {}
         self._peaks: dict[Pair, float] = {}

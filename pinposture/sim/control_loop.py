@@ -144,7 +144,8 @@ def simulate(
 
     Returns:
         The recorded motion. Its status is "converged" if the arm is within the tolerance at the end,
-        otherwise "missed". The simulation ends early with "unstable" if a joint exceeds the speed `RUNAWAY`.
+        otherwise "missed". The simulation ends early with "unstable" if a joint exceeds the speed
+        `PLANT.runaway`.
 
     Raises:
         InvalidValue: the arm cannot be simulated, or the motion does not fit it; with contact, as

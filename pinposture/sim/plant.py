@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection
 from copy import copy
-from typing import Annotated, cast
+from typing import Annotated, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,24 @@ from pinposture.sim.model import (
 
 Array = NDArray[np.float64]
 
-RUNAWAY = 1e3  # joint speed at which a simulation ends as unstable [rad/s or m/s]
-WEAK = 0.3  # share of the torque by which weight loads a joint at most that a weak drive gives
 FAILURES = ("stuck", "limp", "weak")
 """How joints fail, as arguments of `Plant.fail`."""
 
-TRIALS = 6  # maximum number of iterations on the set of saturated servos before the quadratic program
+
+class PlantSettings(NamedTuple):
+    """How servos are solved, how drives fail, and when a simulation ends."""
+
+    trials: int = 6
+    """Largest number of iterations on the set of saturated servos before the quadratic program."""
+
+    weak: float = 0.3
+    """Share of the torque by which weight loads a joint at most that a weak drive gives."""
+
+    runaway: float = 1e3
+    """Joint speed at which a simulation ends as unstable [rad/s or m/s]."""
+
+
+PLANT = PlantSettings()
 
 
 class Plant:
@@ -134,8 +146,8 @@ class Plant:
         Args:
             stuck: names of joints that do not move any more.
             limp: names of joints whose drives have no torque any more.
-            weak: names of joints whose drives have no more than `WEAK` of the torque by which weight loads
-                them in the outstretched arm.
+            weak: names of joints whose drives have no more than `PLANT.weak` of the torque by which weight
+                loads them in the outstretched arm.
 
         Raises:
             UnknownName: a joint that no drive moves.
@@ -147,7 +159,7 @@ class Plant:
         self._limits = np.array(self.model.torque_limits)
         if weak:
             arm = self.model.arm
-            loads = WEAK * np.abs(arm.drives.torques(arm.outstretched_torques))
+            loads = PLANT.weak * np.abs(arm.drives.torques(arm.outstretched_torques))
             for name in weak:
                 at = columns[name]
                 self._limits[at] = min(self._limits[at], loads[names.index(name)])
@@ -175,7 +187,7 @@ class Plant:
                 self._step(at, follows * (first + midst * (last - first)))
                 self._saturated += self._at_limit != 0.0
                 # Not written as (a > b), which is False for NaN.
-                if not np.abs(self._data.qvel).max() < RUNAWAY:
+                if not np.abs(self._data.qvel).max() < PLANT.runaway:
                     self.failure = self._runaway((number + 1) * self._model.opt.timestep)
                     self._data.qpos[:] = before
                     break
@@ -199,7 +211,7 @@ class Plant:
         own_positions = state[0][: self._joints]
         spring = self.model.gains.springs(set_point - own_positions) + damping * speed
         tried: set[tuple[float, ...]] = set()
-        for trial in range(TRIALS):
+        for trial in range(PLANT.trials):
             tried.add(tuple(self._at_limit.tolist()))
             free = self._at_limit == 0.0
             limiting = self._at_limit * np.where(free, 0.0, limits)  # no infinity times 0
@@ -285,7 +297,7 @@ class Plant:
         name = self._model.joint(int(self._model.dof_jntid[worst])).name
         at = self.cycles * self.dt + after
         speed = f"{speeds[worst]:.3g}" if np.isfinite(speeds[worst]) else "no finite number"
-        reason = f"its speed is {speed} [rad/s or m/s], above {RUNAWAY:g}"
+        reason = f"its speed is {speed} [rad/s or m/s], above {PLANT.runaway:g}"
         advice = f"; {self._advice}" if self._advice else ""
         return f"joint {name!r} runs away at {at:.6g} s: {reason}{advice}"
 

@@ -24,7 +24,7 @@ from simple_arms import (
 import pinposture as pp
 from pinposture import sim
 from pinposture.errors import PostureWarning
-from pinposture.sim.plant import Plant
+from pinposture.sim.plant import PLANT, Plant
 
 
 def still(arm: pp.Arm, q=None) -> list[np.ndarray]:
@@ -224,7 +224,7 @@ def test_trying_and_the_program_find_the_same_torques(monkeypatch):
     arm, rows, limit = hurried()
     servos = sim.Servos(torque_limits=limit)
     tried = sim.simulate(arm, rows, servos, dt=0.02)
-    monkeypatch.setattr("pinposture.sim.plant.TRIALS", 0)
+    monkeypatch.setattr("pinposture.sim.plant.PLANT", PLANT._replace(trials=0))
     worked_out = sim.simulate(arm, rows, servos, dt=0.02)
     np.testing.assert_allclose(worked_out.q, tried.q, atol=1e-6)
     np.testing.assert_allclose(worked_out.torques, tried.torques, atol=1e-3 * limit)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 from time import perf_counter
-from typing import NamedTuple, cast
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,22 +149,16 @@ class ShorteningSettings(NamedTuple):
 SHORTENING = ShorteningSettings()
 
 
-RELAXATION = "relaxation"
-TREE_SEARCH = "tree search"
-WITHDRAWAL = "withdrawal"
-"""Ways in which paths are found."""
-
-
 class FoundPath(NamedTuple):
     """A clear path.
 
     Attributes:
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m].
-        found_by: `WITHDRAWAL`, `TREE_SEARCH` or `RELAXATION`.
+        found_by: how it was found.
     """
 
     offsets: Array
-    found_by: str
+    found_by: Literal["relaxation", "tree search", "withdrawal"]
 
 
 class PathSearch:
@@ -216,7 +210,7 @@ class PathSearch:
         if not self.is_clear(np.array([np.zeros(self.arm.nv), self._end])):
             return None
         pieces = _even_pieces(float(np.abs(self._end / self._units).max()))
-        return FoundPath(np.linspace(0.0, 1.0, pieces + 1)[:, None] * self._end, RELAXATION)
+        return FoundPath(np.linspace(0.0, 1.0, pieces + 1)[:, None] * self._end, "relaxation")
 
     def connect(
         self, tell: Callable[[str], None] = lambda _: None, most: int = TREES.join_nodes
@@ -232,7 +226,7 @@ class PathSearch:
             return None
         tell("tree search")
         joined = self._grow(growth, most)
-        return None if joined is None else FoundPath(joined, TREE_SEARCH)
+        return None if joined is None else FoundPath(joined, "tree search")
 
     def path(self, found_path: FoundPath) -> JointPath:
         """Return a path that was found, for the objective of the problem."""
@@ -272,7 +266,7 @@ class PathSearch:
             if joined is not None:
                 part = self._shortened(self._pruned(joined), SHORTENING.rejoined_shortcuts)
                 whole = np.concatenate([path[:first], part, path[second + 1 :]])
-                return FoundPath(self._smoothed(whole), TREE_SEARCH)
+                return FoundPath(self._smoothed(whole), "tree search")
         raw = self.connect() or self.withdraw(most=SHORTENING.rejoining_nodes)
         if raw is None:
             return None
@@ -364,7 +358,7 @@ class PathSearch:
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)
             if joined is not None:
                 whole = np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
-                return FoundPath(whole, WITHDRAWAL)
+                return FoundPath(whole, "withdrawal")
         return None
 
     # Tree search.

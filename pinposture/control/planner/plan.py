@@ -29,7 +29,7 @@ from pinposture.control.planner.damped_least_squares import (
 from pinposture.control.planner.goal import PlanNeeded, find_goal, known_goal
 from pinposture.control.planner.objective import OBJECTIVE, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.path_search import RELAXATION, TREES, FoundPath, PathSearch
+from pinposture.control.planner.path_search import TREES, FoundPath, PathSearch
 from pinposture.control.planner.trajectory_optimization import (
     Penalties,
     RowsAlongPath,
@@ -361,7 +361,7 @@ def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath
     if not search.is_clear(rest):
         rejoined = search.rejoin(rest)
     else:
-        rejoined = FoundPath(rest, RELAXATION) if attempt == 1 or not is_allowed else None
+        rejoined = FoundPath(rest, "relaxation") if attempt == 1 or not is_allowed else None
     if rejoined is None:
         return None
     scene = avoidance.clearance.scene

@@ -208,13 +208,26 @@ class Descent(NamedTuple):
     converged: float
 
 
-FROM_GUESS = Descent(steps=60, damping=1e-3, converged=1e-2)
-WITH_TASKS = FROM_GUESS._replace(converged=1e-3)
-COARSE = Descent(steps=12, damping=1e-6, converged=5e-2)
-FINE = COARSE._replace(steps=50, converged=3e-2)
-WHOLE = FINE._replace(converged=1e-2)
-"""From a guess, without tasks and with them: on a path that misses a task with priority the arm waits; from a
-given path in few pieces, then in more; and at once in as many as it takes."""
+class Descents(NamedTuple):
+    """The steps of each kind of path."""
+
+    from_guess: Descent = Descent(steps=60, damping=1e-3, converged=1e-2)
+    """From a guess, without tasks."""
+
+    with_tasks: Descent = Descent(steps=60, damping=1e-3, converged=1e-3)
+    """With tasks: on a path that misses a task with priority the arm waits."""
+
+    coarse: Descent = Descent(steps=12, damping=1e-6, converged=5e-2)
+    """From a given path, in few pieces."""
+
+    fine: Descent = Descent(steps=50, damping=1e-6, converged=3e-2)
+    """Then in more."""
+
+    whole: Descent = Descent(steps=50, damping=1e-6, converged=1e-2)
+    """From a given path, at once in as many as it takes."""
+
+
+DESCENTS = Descents()
 
 
 def direct_path(
@@ -246,7 +259,7 @@ def direct_path(
         relaxed = waypoints.relax(change, bend)
     else:
         guess = waypoints.interpolate(change, bend, AMONG_OBSTACLES.pieces)
-        descent = FROM_GUESS if penalties.tasks is None else WITH_TASKS
+        descent = DESCENTS.from_guess if penalties.tasks is None else DESCENTS.with_tasks
         relaxed = _PathRelaxation(waypoints, penalties).run(guess, descent)
     pieces = len(relaxed) - 1
     finer = max(STAGING.refinement, STAGING.least_pieces // pieces) * pieces
@@ -276,21 +289,21 @@ def relax_path(
     coarse = _PathRelaxation(waypoints, penalties.for_pieces(few)._replace(least=spare))
     fine = _PathRelaxation(waypoints, penalties)
     x = waypoints.space(offsets, few)
-    descent = FINE
+    descent = DESCENTS.fine
     if coarse.is_clear(x):
-        relaxed = coarse.run(x, COARSE)
+        relaxed = coarse.run(x, DESCENTS.coarse)
         x = waypoints.space(objective.displacement(relaxed), AMONG_OBSTACLES.pieces)
         if not fine.is_clear(x):
             x = waypoints.divide(relaxed)
     else:
-        descent = WHOLE
+        descent = DESCENTS.whole
         for pieces in AMONG_OBSTACLES.pieces_of_given[1:]:
             x = waypoints.space(offsets, pieces)
             if fine.is_clear(x):
                 break
     relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
     # Where x is clear, but bounding capsules may be too close, it is not kept so.
-    if descent is FINE and not fine.is_clear(relaxed):
+    if descent is DESCENTS.fine and not fine.is_clear(relaxed):
         relaxed = x
     smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
     first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, relaxed))

@@ -15,10 +15,6 @@ from pinposture.placement import Target
 Array = NDArray[np.float64]
 
 
-NEAREST = 1e-3
-"""Distance from an obstacle below which the slope of its potential is constant, as a share of `within`."""
-
-
 @dataclass(frozen=True)
 class JointSpeeds:
     """Avoids postures in which control points can move only if joints move fast.
@@ -97,7 +93,8 @@ class ObstaclePotential:
         """Return the joint displacement to follow, (nv,) in `Arm.joint_units`."""
         arm = state.arm
         near = CollisionModel(arm, self.scene).nearest(state, self.within)
-        distances = np.maximum(near.distances, NEAREST * self.within)
+        # Nearer than this, the slope of the potential is constant.
+        distances = np.maximum(near.distances, 1e-3 * self.within)
         slopes = -(self.within / distances - 1.0) * self.within / distances**2
         motion = -self.weight * (slopes @ near.jacobian) * arm.joint_units * arm.moved
         return np.asarray(motion * min(1.0, self.largest / max(float(np.abs(motion).max()), 1e-300)))

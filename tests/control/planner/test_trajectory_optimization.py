@@ -17,8 +17,7 @@ from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.trajectory_optimization import (
-    COARSE,
-    FINE,
+    DESCENTS,
     STAGING,
     Penalties,
     direct_path,
@@ -245,8 +244,8 @@ def test_a_given_path_is_relaxed_in_few_pieces_and_then_in_more(
     objective = objective_of(two, goal)
     smooth, found = relax_path(objective, start, detour, position_limits, Penalties())
     assert counts == sorted(counts)
-    assert 0 < counts.count(32) <= COARSE.steps
-    assert 0 < counts.count(48) <= FINE.steps
+    assert 0 < counts.count(32) <= DESCENTS.coarse.steps
+    assert 0 < counts.count(48) <= DESCENTS.fine.steps
     assert found.end == 48
     shortest = energy(two, start, way(two, start, goal).offsets, MU) * way(two, start, goal).end
     for path in (smooth, found):
