@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from pinposture import kernels
 from pinposture.arm.kinematics import neutral_placements, read_joints
-from pinposture.kernels.arrays import OTHERWISE, TorqueSamples
+from pinposture.kernels.arrays import JOINT, TorqueSamples
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ class Dynamics:
         placements = neutral_placements(model)
         numbers = list(range(1, model.njoints))
         joints = read_joints(model, placements)
-        self.whole = bool(np.all(joints.kinds != OTHERWISE))
+        self.whole = bool(np.all(joints.kinds != JOINT.other))
         if not self.whole:
             numbers = [model.getJointId(name) for name in chain]
             joints = read_joints(model, placements, numbers)

@@ -22,7 +22,7 @@ from pinposture import kernels
 from pinposture._validation import require_known
 from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import OTHERWISE, SLIDES, TURNS, ArmArrays, Joints
+from pinposture.kernels.arrays import JOINT, ArmArrays, Joints
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -58,7 +58,7 @@ def read_joints(
     listed = list(model.joints)
     numbers = list(range(1, model.njoints) if chain is None else chain)
     parents = np.array([model.parents[number] for number in numbers], dtype=np.int64)
-    kinds = np.full(len(numbers), OTHERWISE, dtype=np.int64)
+    kinds = np.full(len(numbers), JOINT.other, dtype=np.int64)
     axes = np.zeros((len(numbers), 3))
     ratios = np.ones(len(numbers))
     names = [listed[number].shortname().removeprefix("JointModel") for number in numbers]
@@ -66,7 +66,7 @@ def read_joints(
     if simple:
         which = [numbers[u] for u in simple]
         own_axes, revolute = joint_axes(model, which)
-        kinds[simple] = np.where(revolute, TURNS, SLIDES)
+        kinds[simple] = np.where(revolute, JOINT.revolute, JOINT.prismatic)
         rotations = np.array([placements[number].rotation for number in which])
         axes[simple] = np.einsum("nij,nj->ni", rotations, own_axes)
         ratios[simple] = joint_ratios(model, which)
@@ -201,7 +201,7 @@ def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array
     return Skeleton(
         names=tuple(names),
         axes=chain.axes,
-        revolute=chain.kinds == TURNS,
+        revolute=chain.kinds == JOINT.revolute,
         stations=stations,
         lower=low,
         upper=high,
@@ -396,7 +396,7 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
         joints=names,
         columns=selected.columns,
         ratios=selected.ratios,
-        revolute=selected.kinds == TURNS,
+        revolute=selected.kinds == JOINT.revolute,
         axes=selected.axes,
         origins=origins,
         base=origins[0].copy(),
@@ -567,7 +567,7 @@ class Kinematics:
         self.endless = np.zeros(model.nv, dtype=np.bool_)
         for number, kind in zip(joints, joints_read.kinds, strict=True):
             joint = model.joints[number]
-            if kind == OTHERWISE:
+            if kind == JOINT.other:
                 allowed = "a joint that turns about one axis, or slides along one"
                 name = joint.shortname().removeprefix("JointModel")
                 raise InvalidValue(f"joint {model.names[number]!r}", name, allowed)

@@ -16,7 +16,7 @@ from pinposture._validation import finite_array, is_number, is_whole, require_po
 from pinposture.arm.kinematics import chain_arrays
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import SLIDES, TURNS, ArmArrays, Joints
+from pinposture.kernels.arrays import JOINT, ArmArrays, Joints
 from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ class ModuleJoints:
         n = len(self.names)
         joints = Joints(
             parents=np.arange(n, dtype=np.int64),
-            kinds=np.where(self.revolute, TURNS, SLIDES),
+            kinds=np.where(self.revolute, JOINT.revolute, JOINT.prismatic),
             axes=self.axes,
             offsets=np.diff(self.origins, axis=0, prepend=0.0),
             columns=self.inputs,

@@ -20,7 +20,7 @@ from pinposture.arm.weight import find_frame
 from pinposture.collision.solids import Piece, Solid, join_trees
 from pinposture.kernels.arrays import (
     BLOCK,
-    OTHERWISE,
+    JOINT,
     SOLID,
     Contacts,
     MotionSearch,
@@ -62,7 +62,7 @@ class TreeKinematics:
         placements = neutral_placements(model)
         self.joints = read_joints(model, placements)
         self.turns = np.array([placement.rotation for placement in placements])
-        self._others = (np.flatnonzero(self.joints.kinds == OTHERWISE) + 1).tolist()
+        self._others = (np.flatnonzero(self.joints.kinds == JOINT.other) + 1).tolist()
 
     def place(self, q: Array, offsets: Array | None = None) -> JointFrames:
         """Compute the joint placements at one or several configurations.

@@ -28,7 +28,7 @@ from pinposture.collision.shapes import Sphere
 from pinposture.collision.solids import Solid
 from pinposture.errors import InvalidValue, enumerated, warn_caller
 from pinposture.kernels.arrays import (
-    OTHERWISE,
+    JOINT,
     Contacts,
     MotionSearch,
     SearchTrees,
@@ -673,7 +673,7 @@ class CollisionModel:
             columns: the Jacobian columns of the given joints.
         """
         joints = self._kinematics.joints
-        movable = np.flatnonzero(np.isin(joints.columns, columns) & (joints.kinds != OTHERWISE))
+        movable = np.flatnonzero(np.isin(joints.columns, columns) & (joints.kinds != JOINT.other))
         # Of coupled joints, only the middle one counts: bodies beyond it move about as much as the last one.
         order = movable[np.argsort(joints.columns[movable], kind="stable")]
         begins = np.flatnonzero(np.diff(joints.columns[order], prepend=-1))
@@ -807,10 +807,10 @@ class CollisionModel:
             trees: both trees of displacements from q0, updated.
             samples: displacements towards which they grow, (s, nv) [rad or m].
             settings: the settings.
-            refused: whether the last edge, which was `OPEN`, is not clear.
+            refused: whether the last edge, which was open, is not clear.
 
         Returns:
-            `ENDED`, `OPEN` or `JOINED` of `kernels.tree_search`, and the number of samples that are used.
+            The outcome, of `kernels.arrays.OUTCOME`, and the number of samples that are used.
         """
         return self._distances.grow_trees(
             self._kinematics, q0, units, trees, samples, settings, refused=refused

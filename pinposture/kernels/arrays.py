@@ -96,10 +96,19 @@ class LengthArrays(NamedTuple):
     series: Array2
 
 
-TURNS = 0
-SLIDES = 1
-OTHERWISE = 2
-"""How a joint moves what it carries: about its axis, along it, or otherwise; see `Joints`."""
+class JointKinds(NamedTuple):
+    """How a joint moves what it carries; see `Joints`."""
+
+    revolute: int = 0
+    """About its axis."""
+
+    prismatic: int = 1
+    """Along it."""
+
+    other: int = 2
+
+
+JOINT = JointKinds()
 
 
 class Joints(NamedTuple):
@@ -111,7 +120,7 @@ class Joints(NamedTuple):
 
     Attributes:
         parents: the frame that carries each joint, (k,); at most u.
-        kinds: TURNS, SLIDES or OTHERWISE, (k,).
+        kinds: kind of each joint, of `JOINT`, (k,).
         axes: unit axis of each joint, (k, 3).
         offsets: origin of each joint in the frame that carries it, (k, 3).
         columns: index of its degree of freedom among all joint positions, (k,).
@@ -564,7 +573,7 @@ class SearchTrees(NamedTuple):
         nodes: the nodes, (2, capacity, nv); the first of each is its root.
         parents: index of the parent of each node, -1 for a root, (2, capacity).
         counts: number of nodes, (2,).
-        state: how far the search is, (4,).
+        state: how far the search is, by the entries of `STATE`, (4,).
     """
 
     nodes: Array3
@@ -637,17 +646,40 @@ class SolidKinds(NamedTuple):
 
 SOLID = SolidKinds()
 
-ENDED = 0
-OPEN = 1
-JOINED = 2
-"""Why trees stop growing: samples or room are used up; the new edge needs a further check; they meet."""
 
-TURN = 0
-AT = 1
-MET = 2
-LAST = 3
-"""Entries of the state of `SearchTrees`: the tree that extends; its new node, which the other tree is to
-reach, -1 before it is added; the node there, or -1; the tree of the last edge."""
+class TreeOutcomes(NamedTuple):
+    """Why trees stop growing; see `kernels.tree_search`."""
+
+    ended: int = 0
+    """Samples or room are used up."""
+
+    open: int = 1
+    """The new edge needs a further check."""
+
+    joined: int = 2
+    """They meet."""
+
+
+OUTCOME = TreeOutcomes()
+
+
+class SearchState(NamedTuple):
+    """Entries of the state of `SearchTrees`."""
+
+    turn: int = 0
+    """The tree that extends."""
+
+    at: int = 1
+    """Its new node, which the other tree is to reach; -1 before it is added."""
+
+    met: int = 2
+    """The node of the other tree there, or -1."""
+
+    last: int = 3
+    """The tree of the last edge."""
+
+
+STATE = SearchState()
 
 
 class RowCouplings(NamedTuple):

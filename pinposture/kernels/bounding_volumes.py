@@ -10,24 +10,36 @@ the normal of the triangle that separates them.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Three, Trees
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
-TINY = 1e-300
 
-PARALLEL_SQUARED = 1e-14
-"""Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
+class SegmentTolerances(NamedTuple):
+    """What counts as zero in distances of lines, and which of them are long."""
 
-MEETING_SQUARED = 1e-28
-"""Square of the gap, relative to length and distance of a line, below which its direction is rounding."""
+    tiny: float = 1e-300
+    """Replaces divisors that are zero."""
 
-LONG = 64.0
-"""Squared length of a line above which its bounding box is too loose, in squared half diagonals of a box."""
+    parallel_squared: float = 1e-14
+    """Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
 
-ON_EDGE = 1e-12
-"""Distance beyond an edge at which a point still counts as inside, relative to the height of a triangle."""
+    meeting_squared: float = 1e-28
+    """Square of the gap, relative to length and distance of a line, below which its direction is rounding."""
+
+    on_edge: float = 1e-12
+    """Distance beyond an edge at which a point still counts as inside, relative to the height of a
+    triangle."""
+
+    long: float = 64.0
+    """Squared length above which the bounding box of a line is too loose, in squared half diagonals of a
+    box."""
+
+
+SEGMENT = SegmentTolerances()
 
 Nearest = tuple[float, float, float, float, float]
 """Distance of a line, nearest place on it, from 0 to 1, and unit vector to that; 0 if undefined."""
@@ -198,7 +210,7 @@ def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
     hy = 0.5 * (high_y - low_y)
     hz = 0.5 * (high_z - low_z)
     half = hx * hx + hy * hy + hz * hz
-    if squares > LONG * half:
+    if squares > SEGMENT.long * half:
         # The line may be slanted: distance of the box centre from it, less half the diagonal.
         x = low_x + hx - ax
         y = low_y + hy - ay
@@ -217,8 +229,8 @@ def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest
     x = ax - points[at, 0]
     y = ay - points[at, 1]
     z = az - points[at, 2]
-    t = min(max(-(x * ux + y * uy + z * uz) / max(squares, TINY), 0.0), 1.0)
-    meeting = MEETING_SQUARED * (x * x + y * y + z * z + squares)
+    t = min(max(-(x * ux + y * uy + z * uz) / max(squares, SEGMENT.tiny), 0.0), 1.0)
+    meeting = SEGMENT.meeting_squared * (x * x + y * y + z * z + squares)
     x = x + t * ux
     y = y + t * uy
     z = z + t * uz
@@ -253,14 +265,14 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
     ff = fx * fx + fy * fy + fz * fz
     ef = ex * fx + ey * fy + ez * fz
     area = nx * nx + ny * ny + nz * nz
-    meeting = MEETING_SQUARED * (x * x + y * y + z * z + squares)
+    meeting = SEGMENT.meeting_squared * (x * x + y * y + z * z + squares)
     best = below
     place = 0.0
     sx = 0.0
     sy = 0.0
     sz = 0.0
     found = False
-    flat = area <= PARALLEL_SQUARED * ee * ff
+    flat = area <= SEGMENT.parallel_squared * ee * ff
     if not flat:
         start = nx * x + ny * y + nz * z
         rise = nx * ux + ny * uy + nz * uz
@@ -289,7 +301,7 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
             pf = px * fx + py * fy + pz * fz
             v = ff * pe - ef * pf
             w = ee * pf - ef * pe
-            if min(v, w) < -ON_EDGE * area or v + w > (1.0 + ON_EDGE) * area:
+            if min(v, w) < -SEGMENT.on_edge * area or v + w > (1.0 + SEGMENT.on_edge) * area:
                 continue
             if number == 0:
                 # Move up, until its lower end is in the plane, or down.
@@ -353,10 +365,10 @@ def way_to_segment(
     # Nearest place on the first line, then on the other within its ends, then again on the first.
     # This is exact: the admissible pairs of places form a rectangle, on which the distance is convex.
     s = 0.0
-    if across > PARALLEL_SQUARED * uu * vv:
+    if across > SEGMENT.parallel_squared * uu * vv:
         s = min(max((uv * vr - vv * ur) / across, 0.0), 1.0)
-    t = min(max((uv * s + vr) / max(vv, TINY), 0.0), 1.0)
-    s = min(max((uv * t - ur) / max(uu, TINY), 0.0), 1.0)
+    t = min(max((uv * s + vr) / max(vv, SEGMENT.tiny), 0.0), 1.0)
+    s = min(max((uv * t - ur) / max(uu, SEGMENT.tiny), 0.0), 1.0)
     return s, rx + s * ux - t * vx, ry + s * uy - t * vy, rz + s * uz - t * vz
 
 

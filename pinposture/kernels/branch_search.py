@@ -8,7 +8,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import (
     FULL_TURN,
-    SLIDES,
+    JOINT,
     Array1,
     Array2,
     Array3,
@@ -121,7 +121,7 @@ def solve_last_joint(chain: ModuleSearch, u: int, x: Array1, goal: Array1) -> fl
     g0 = goal[0]
     g1 = goal[1]
     g2 = goal[2]
-    if chain.joints.kinds[u] == SLIDES:
+    if chain.joints.kinds[u] == JOINT.prismatic:
         return a[0] * (g0 - x0) + a[1] * (g1 - x1) + a[2] * (g2 - x2)
     along = (a[0] * x0 + a[1] * x1 + a[2] * x2) * (a[0] * g0 + a[1] * g1 + a[2] * g2)
     sine = a[0] * (x1 * g2 - x2 * g1) + a[1] * (x2 * g0 - x0 * g2) + a[2] * (x0 * g1 - x1 * g0)
@@ -256,7 +256,9 @@ def correct(
 ) -> float:
     """Move the ends of modules first to last to their points, by Levenberg-Marquardt steps within limits.
 
-    Changes q of these modules, fills in the bases after the first, and returns the largest distance left.
+    Changes q of these modules, fills in the bases after the first, and returns the largest distance left. The
+    box solver along the chain finds as many solutions, but takes two to three times as long for the few
+    joints of a window (`docs/design/branch_search.md`).
     """
     begin = chain.begins[first]
     r = 3 * (last - first + 1)
@@ -387,7 +389,8 @@ def solve_module(
     pair = np.empty((4, 2))
     closed = 0  # number of joints solved in closed form, which coupled joints do not have
     if n > 0 and end - joint == n:
-        hinges = n > 1 and chain.joints.kinds[end - 2] != SLIDES and chain.joints.kinds[end - 1] != SLIDES
+        kinds = chain.joints.kinds
+        hinges = n > 1 and kinds[end - 2] != JOINT.prismatic and kinds[end - 1] != JOINT.prismatic
         closed = 2 if hinges else 1
     start = np.empty(n)
     e = np.empty((1, 3))
@@ -605,6 +608,9 @@ def minimise_posture_errors(
     problem: PostureProblem, settings: SearchSettings, positions: Array1
 ) -> tuple[float, float]:
     """Minimise the squared errors of points and chords by damped least squares.
+
+    This is the loop of `descent.descend` for points alone, where a step in Python would take longer than its
+    solution.
 
     Args:
         problem: the problem.

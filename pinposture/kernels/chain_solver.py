@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.kernels.arrays import (
-    TURNS,
+    JOINT,
     ArmArrays,
     Array1,
     Array2,
@@ -388,7 +388,7 @@ def find_screws(
             v0 = v0 + unit * vx
             v1 = v1 + unit * vy
             v2 = v2 + unit * vz
-            if joints.kinds[u] == TURNS:
+            if joints.kinds[u] == JOINT.revolute:
                 turned = unit * joints.ratios[u]
                 w0 = w0 + turned * axes[u, 0]
                 w1 = w1 + turned * axes[u, 1]

@@ -17,8 +17,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import (
     BLOCK,
-    OTHERWISE,
-    SLIDES,
+    JOINT,
     SOLID,
     Array1,
     Array2,
@@ -32,8 +31,7 @@ from pinposture.kernels.arrays import (
     Three,
 )
 from pinposture.kernels.bounding_volumes import (
-    MEETING_SQUARED,
-    TINY,
+    SEGMENT,
     is_inside,
     nearest_in_tree,
     way_to_segment,
@@ -47,12 +45,6 @@ from pinposture.kernels.kinematics import (
     store_frame,
     turn_row,
 )
-
-FLAT = 1e-13
-"""Slope that counts as zero, relative to the numbers it is computed from."""
-
-MAX_ITERATIONS = 60
-"""Maximum number of iterations in the search for the point nearest to a cylinder."""
 
 Contact = tuple[float, float, float, float, float, float, float]
 
@@ -80,7 +72,7 @@ def place_joints(
             parent = joints.parents[u]
             frame = load_frame(turns[parent], places[parent])
             kind = joints.kinds[u]
-            if kind == OTHERWISE:
+            if kind == JOINT.other:
                 o = joints.offsets[u]
                 m = others[at, number]
                 number += 1
@@ -92,8 +84,8 @@ def place_joints(
                 frame = (r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z)
             else:
                 q = joints.ratios[u] * positions[at, joints.columns[u]]
-                cosine = q if kind == SLIDES else np.cos(q)
-                sine = 0.0 if kind == SLIDES else np.sin(q)
+                cosine = q if kind == JOINT.prismatic else np.cos(q)
+                sine = 0.0 if kind == JOINT.prismatic else np.sin(q)
                 frame, _ = carried_on(joints, u, cosine, sine, frame)
             store_frame(frame, turns[u + 1], places[u + 1])
 
@@ -164,9 +156,9 @@ def differentiate_distances(
             frame, sign = (first[k], 1.0) if side == 0 else (second[k], -1.0)
             while frame > 0:
                 u = frame - 1
-                if joints.kinds[u] != OTHERWISE:
+                if joints.kinds[u] != JOINT.other:
                     ax, ay, az = frame_axis(joints, u, rotations[frame])
-                    if joints.kinds[u] == SLIDES:
+                    if joints.kinds[u] == JOINT.prismatic:
                         moved = nx * ax + ny * ay + nz * az
                     else:
                         x = points[k, 0] - origins[frame, 0]
@@ -237,7 +229,7 @@ def _segment_contact(line: Array2, other: Array2) -> Contact:
     py = line[0, 1] + s * uy
     pz = line[0, 2] + s * uz
     size = np.sqrt(gx * gx + gy * gy + gz * gz)
-    if size * size <= MEETING_SQUARED * (rx * rx + ry * ry + rz * rz + ux * ux + uy * uy + uz * uz):
+    if size * size <= SEGMENT.meeting_squared * (rx * rx + ry * ry + rz * rz + ux * ux + uy * uy + uz * uz):
         return 0.0, px, py, pz, 0.0, 0.0, 0.0
     return size, px, py, pz, gx / size, gy / size, gz / size
 
@@ -281,7 +273,7 @@ def _box_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
             slope += (at - half[axis]) * way[axis]
         elif at < -half[axis]:
             slope += (at + half[axis]) * way[axis]
-    return slope if abs(slope) > FLAT * rounding else 0.0
+    return slope if abs(slope) > 1e-13 * rounding else 0.0  # less is rounding
 
 
 @subkernel
@@ -451,7 +443,7 @@ def _cylinder_contact(line: Array2, center: Array1, frame: Array2, half: Array1)
         t = 1.0
     elif low < 0.0:
         # False position with halved weights (Illinois), and bisection every third time.
-        for number in range(MAX_ITERATIONS):
+        for number in range(60):  # at most
             t = 0.5 * (left + right) if number % 3 == 2 else (left * high - right * low) / (high - low)
             slope = _cylinder_slope(start, way, half, t)
             if slope < 0.0:
@@ -474,8 +466,8 @@ def _cylinder_contact(line: Array2, center: Array1, frame: Array2, half: Array1)
     above = max(abs(z) - half[2], 0.0)
     distance = np.sqrt(out * out + above * above)
     if distance > 1e-14 * max(half[0], half[2]):
-        nx = out * x / max(across, TINY) / distance
-        ny = out * y / max(across, TINY) / distance
+        nx = out * x / max(across, SEGMENT.tiny) / distance
+        ny = out * y / max(across, SEGMENT.tiny) / distance
         nz = above / distance * (1.0 if z > 0.0 else -1.0)
     else:
         distance, t, nx, ny, nz = _leave_cylinder(start, way, half, t)
@@ -569,7 +561,7 @@ def _axis_bound(pairs: Pairs, obstacle: int, middle: Three, way: Three) -> float
         gx = x - lines[obstacle, 0, 0]
         gy = y - lines[obstacle, 0, 1]
         gz = z - lines[obstacle, 0, 2]
-        t = (gx * ux + gy * uy + gz * uz) / max(ux * ux + uy * uy + uz * uz, TINY)
+        t = (gx * ux + gy * uy + gz * uz) / max(ux * ux + uy * uy + uz * uz, SEGMENT.tiny)
         t = min(max(t, 0.0), 1.0)
         gx = gx - t * ux
         gy = gy - t * uy

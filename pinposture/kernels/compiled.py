@@ -35,13 +35,6 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 logger = logging.getLogger(__name__)
 
-OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""Options of numba: kernels are called from Python and by each other, never from C."""
-
-_NOTICE = "compiling kernels, once per installation and user; `pinposture compile` compiles all of them now"
-
-_NOTICE_INTERVAL = 120.0  # time before another process repeats the notice [s]
-
 _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 
 
@@ -65,7 +58,9 @@ def inlined(function: Function) -> Function:
 
 
 def _compile(function: Function, options: dict[str, Any]) -> Function:
-    kernel: Any = numba.njit(**OPTIONS, **options)(function)
+    # Kernels are called from Python and by each other, never from C.
+    every: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
+    kernel: Any = numba.njit(**every)(function)
     try:
         kernel.enable_caching()
     except RuntimeError:
@@ -93,8 +88,9 @@ def arguments_of(kernel: Any) -> tuple[types.Type, ...]:
 
 def _type_of(hint: Any) -> types.Type:
     """Return the numba type of an annotation."""
-    if hint in _SCALARS:
-        return _SCALARS[hint]
+    scalars = {float: types.float64, int: types.int64, bool: types.boolean}
+    if hint in scalars:
+        return scalars[hint]
     if get_origin(hint) is Annotated:  # an array of `kernels.arrays`
         array, dimensions = get_args(hint)
         entries = get_args(array)[-1]  # dtype[...], or the type itself, depending on the version of numpy
@@ -103,9 +99,6 @@ def _type_of(hint: Any) -> types.Type:
     named = hint if hasattr(hint, "_fields") else None
     fields = get_type_hints(hint, include_extras=True).values() if named else get_args(hint)
     return types.BaseTuple.from_types([_type_of(each) for each in fields], named)  # type: ignore[no-untyped-call]
-
-
-_SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 
 
 def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[..., Any]:
@@ -203,17 +196,20 @@ class _Notice(event.Listener):
         if ours and not self._given:
             self._given = True
             if _cache_file(dispatcher) is None or _is_due(Path(dispatcher._cache.cache_path)):
-                logger.warning(_NOTICE)
+                logger.warning(
+                    "compiling kernels, once per installation and user; "
+                    "`pinposture compile` compiles all of them now"
+                )
 
     def on_end(self, event: event.Event) -> None:
         """Ignore the end of a compilation."""
 
 
 def _is_due(folder: Path) -> bool:
-    """Return whether no process has logged the notice lately; touches a marker file beside the kernels."""
+    """Return whether no process has logged the notice for two minutes; touches a file beside the kernels."""
     note = folder / "compiling.note"
     with suppress(OSError):  # there is none yet
-        if time.time() - note.stat().st_mtime < _NOTICE_INTERVAL:
+        if time.time() - note.stat().st_mtime < 120.0:
             return False
     with suppress(OSError):
         note.touch()

@@ -65,6 +65,9 @@ def minimise_with_rows(
 ) -> bool:
     """Minimise an objective along a chain within a box, subject to least <= rows x.
 
+    For each set of multipliers `minimise_in_box` finds the minimum. Programs that have no chain, or
+    equations, are for `quadratic_program.solve`.
+
     Args:
         problem: the objective.
         lower: smallest x, (n,).

@@ -18,12 +18,13 @@ of a link of length r that turns at w accelerates by at most r (|w'| + |w|^2).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pinposture.kernels.arrays import (
     BLOCK,
-    OTHERWISE,
-    SLIDES,
+    JOINT,
     SOLID,
     Array1,
     Array2,
@@ -48,14 +49,23 @@ from pinposture.kernels.collision import (
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 
-MAX_DEPTH = 60  # maximum number of halvings of a motion
 
-MANY_PAIRS = 100
-"""Number of remaining pairs above which both halves of a motion are examined anew, by groups."""
+class MotionHalving(NamedTuple):
+    """How motions are halved to find the smallest distance on them."""
 
-MEASURED_SHARE = 0.5
-"""Room of a pair by bounding shapes, relative to its motion, from which on the pair is measured. Those with
-less wait for the halves of the motion. Half or twice of both numbers hardly matters (`distances.md`)."""
+    max_depth: int = 60
+    """Largest number of halvings of a motion."""
+
+    many_pairs: int = 100
+    """Number of remaining pairs above which both halves of a motion are examined anew, by groups."""
+
+    measured_share: float = 0.5
+    """Room of a pair by bounding shapes, relative to its motion, from which on the pair is measured. Those
+    with less wait for the halves of the motion. Half or twice of both numbers hardly matters
+    (`distances.md`)."""
+
+
+HALVING = MotionHalving()
 
 Arm = tuple[Joints, Ints1, Array3]
 """The joints, the frame that carries each body, and the ends of the axes of the bodies in it."""
@@ -115,9 +125,9 @@ def smallest_distance_on_motions(
     known = at_ends.shape[1] > 0
     stack = np.empty(1024, dtype=np.int64)
     rooms = np.empty((1024, 3))  # lower bounds of distances at the begin, the middle and the end
-    begins = np.zeros(MAX_DEPTH + 2, dtype=np.int64)
-    right = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
-    crowded = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
+    begins = np.zeros(HALVING.max_depth + 2, dtype=np.int64)
+    right = np.zeros(HALVING.max_depth + 1, dtype=np.bool_)
+    crowded = np.zeros(HALVING.max_depth + 1, dtype=np.bool_)
     best = np.inf
     best_pair = -1
     opened = 0
@@ -149,7 +159,7 @@ def smallest_distance_on_motions(
             last = begins[depth]
             groups = len(pairs.groups) if anew else 1
             for group in range(groups):
-                if anew and last - first > MANY_PAIRS:  # most of them soon drop out again, by groups
+                if anew and last - first > HALVING.many_pairs:  # most of them soon drop out again, by groups
                     break
                 if anew:
                     begin = pairs.starts[group]
@@ -189,7 +199,7 @@ def smallest_distance_on_motions(
                         moved = min(moved, apart)
                     if max(lower, between) - moved >= aim:
                         continue
-                    waits = lower >= min(below, best) and lower - aim < MEASURED_SHARE * moved
+                    waits = lower >= min(below, best) and lower - aim < HALVING.measured_share * moved
                     if waits and pairs.exact[pair]:
                         stack, rooms, last = _push(stack, rooms, last, pair, (room[0], lower, room[1]))
                         continue
@@ -213,7 +223,7 @@ def smallest_distance_on_motions(
                         if _stays_behind(arm, placed, bounds[0], half, pairs, pair, contact, aim):
                             continue
                         stack, rooms, last = _push(stack, rooms, last, pair, (room[0], distance, room[1]))
-            crowded[depth] = anew and last - first > MANY_PAIRS
+            crowded[depth] = anew and last - first > HALVING.many_pairs
             if depth == 0 and last > 0 and not known:
                 end = positions[piece + 1], drifts[piece + 1]
                 _place_bodies(arm, end[0], others, end[1], placed)
@@ -233,7 +243,7 @@ def smallest_distance_on_motions(
                             return best, best_pair, opened
                     else:
                         opened = _leave_open(open_samples, opened, (piece, 1.0, 0.0, pair, 0.0, distance))
-            if last > first and depth < MAX_DEPTH:  # the first half, for the remaining pairs
+            if last > first and depth < HALVING.max_depth:  # the first half, for the remaining pairs
                 if crowded[depth]:
                     last = first
                 depth += 1
@@ -399,8 +409,8 @@ def _bound_motions(
         spin = v[7]  # bound of the angular speed
         speed_up = v[8]  # bound of the angular acceleration
         size = 0.0
-        slides = joints.kinds[u] == SLIDES
-        if joints.kinds[u] != OTHERWISE:
+        slides = joints.kinds[u] == JOINT.prismatic
+        if joints.kinds[u] != JOINT.other:
             dq = joints.ratios[u] * move[joints.columns[u]]
             ax, ay, az = frame_axis(joints, u, rotations[frame])
             size = abs(dq)
@@ -498,9 +508,9 @@ def _relative_motion(arm: Arm, placed: Placed, move: Array1, half: float, one: i
         origin = origins[frame]
         length += np.sqrt((far[0] - origin[0]) ** 2 + (far[1] - origin[1]) ** 2 + (far[2] - origin[2]) ** 2)
         far = origin
-        if joints.kinds[u] != OTHERWISE:
+        if joints.kinds[u] != JOINT.other:
             dq = joints.ratios[u] * move[joints.columns[u]]
-            if joints.kinds[u] == SLIDES and dq != 0.0:
+            if joints.kinds[u] == JOINT.prismatic and dq != 0.0:
                 return np.inf
             turned += abs(dq)
             ax, ay, az = frame_axis(joints, u, rotations[frame])

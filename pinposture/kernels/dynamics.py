@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.kernels.arrays import (
-    SLIDES,
+    JOINT,
     Array1,
     Array2,
     Bodies,
@@ -273,7 +273,7 @@ def place_bodies(joints: Joints, lanes: int, rows: Array2) -> None:
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
         x, y, z = three_of(joints.axes, u)
-        if joints.kinds[u] == SLIDES:
+        if joints.kinds[u] == JOINT.prismatic:
             for w in range(lanes):
                 put(row, ROW.turn, lanes, w, (1.0, 0.0, 0.0))
                 put(row, ROW.turn + 3, lanes, w, (0.0, 1.0, 0.0))
@@ -358,7 +358,7 @@ def spread_motion(
         carrier = rows[joints.parents[u]]
         for k in range(ROW.up * lanes, end * lanes):
             row[k] = carrier[k]
-        slides = joints.kinds[u] == SLIDES
+        slides = joints.kinds[u] == JOINT.prismatic
         unit = three_of(joints.axes, u)
         offset = three_of(joints.offsets, u)
         inertia = inertia_of(bodies, u)
@@ -445,7 +445,7 @@ def gather_torques(
     end = ROW.weight if pushes else (ROW.push_force if moves else ROW.force)
     for u in range(len(joints.kinds) - 1, -1, -1):
         row = rows[u + 1]
-        slides = joints.kinds[u] == SLIDES
+        slides = joints.kinds[u] == JOINT.prismatic
         unit = three_of(joints.axes, u)
         offset = three_of(joints.offsets, u)
         mass = bodies.carried[u]
@@ -715,7 +715,7 @@ def gravity_gradient(indices: Ints1, numbers: Array1, positions: Array1, filled:
         carrier = frames[joints.parents[u]]
         unit = three_of(joints.axes, u)
         lifted = scale(unit, bodies.carried[u])  # motion of the masses, per motion of the joint
-        if joints.kinds[u] != SLIDES:
+        if joints.kinds[u] != JOINT.prismatic:
             offset = three_of(joints.offsets, u)
             first = get(row, ROW.first_moments, 1, 0)  # about the origin of the frame that carries it
             lifted = cross(unit, add(first, scale(offset, -bodies.carried[u])))
@@ -727,7 +727,7 @@ def gravity_gradient(indices: Ints1, numbers: Array1, positions: Array1, filled:
         frame = u + 1
         while frame > 0:
             v = frame - 1
-            if joints.kinds[v] != SLIDES:
+            if joints.kinds[v] != JOINT.prismatic:
                 j = joints.columns[v]
                 turn = get(axes[v], 0, 1, 0)
                 slope = joints.ratios[u] * joints.ratios[v] * dot(upward, cross(turn, lifted))

@@ -6,7 +6,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import (
     COUPLING,
-    SLIDES,
+    JOINT,
     ArmArrays,
     Array1,
     Array2,
@@ -110,7 +110,7 @@ def carried_on(joints: Joints, u: int, cosine: float, sine: float, frame: Frame)
     ax = r00 * x + r01 * y + r02 * z
     ay = r10 * x + r11 * y + r12 * z
     az = r20 * x + r21 * y + r22 * z
-    if joints.kinds[u] == SLIDES:
+    if joints.kinds[u] == JOINT.prismatic:
         px = px + cosine * ax
         py = py + cosine * ay
         pz = pz + cosine * az
@@ -130,7 +130,7 @@ def find_sines(joints: Joints, first: int, stop: int, positions: Array1, axes: A
     """
     for u in range(first, stop):
         q = joints.ratios[u] * positions[joints.columns[u]]
-        if joints.kinds[u] == SLIDES:
+        if joints.kinds[u] == JOINT.prismatic:
             axes[u, 0] = q
         else:
             axes[u, 0] = np.cos(q)
@@ -175,7 +175,7 @@ def point_velocity(
     a0 = ratio * axes[u, 0]
     a1 = ratio * axes[u, 1]
     a2 = ratio * axes[u, 2]
-    if joints.kinds[u] == SLIDES:
+    if joints.kinds[u] == JOINT.prismatic:
         return a0, a1, a2
     x = x - origins[u, 0]
     y = y - origins[u, 1]

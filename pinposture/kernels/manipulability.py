@@ -14,8 +14,6 @@ from pinposture.kernels.kinematics import difference
 
 Gram = tuple[float, float, float, float, float, float]
 
-DETERMINANT_ERROR = 1e-14  # largest rounding error of the determinant of a Gram matrix of trace 1
-
 
 @subkernel
 def _with_module(gram: Gram, screws: Screws, plane: Array2, module: int, point: int) -> Gram:
@@ -79,9 +77,10 @@ def _exceeds(gram: Gram, dimension: int, threshold: float) -> bool:
     trace = gram[0] + gram[3] + gram[5]
     if dimension == 3 and trace > 0.0:
         share = _determinant(gram) / (trace * trace * trace)
-        if share > threshold * threshold + DETERMINANT_ERROR:
+        rounding = 1e-14  # of the determinant of a Gram matrix of trace 1, at most
+        if share > threshold * threshold + rounding:
             return True
-        if share < threshold * threshold / 27.0 - DETERMINANT_ERROR:
+        if share < threshold * threshold / 27.0 - rounding:
             return False
     return _index(gram, dimension) > threshold
 

@@ -38,15 +38,25 @@ class ClosedForms(NamedTuple):
 
 FORM = ClosedForms()
 
-FIRST_CROSSING = 1e-9
-LAST_CROSSING = 1.0 + 1e-9
-"""Range of a crossing on a segment from 0 to 1: excluding its start, with tolerance at its end."""
 
-TOUCHING = 0.5e-14
-"""Value that counts as zero at an extremum of a polynomial, relative to its second derivative: a pair of
-complex roots within 1e-7 of the segment."""
+class CrossingTolerances(NamedTuple):
+    """Tolerances of crossings of a segment, from 0 to 1, with what a module reaches."""
 
-REACH_TOLERANCE = 1e-9  # tolerance of positions, relative to the reach of a module, and of joint limits [rad]
+    first: float = 1e-9
+    """Smallest crossing: the start of the segment is excluded."""
+
+    last: float = 1.0 + 1e-9
+    """Largest crossing."""
+
+    touching: float = 0.5e-14
+    """Value that counts as zero at an extremum of a polynomial, relative to its second derivative: a pair of
+    complex roots within 1e-7 of the segment."""
+
+    reach: float = 1e-9
+    """Tolerance of positions, relative to the reach of a module, and of joint limits [rad]."""
+
+
+CROSSING = CrossingTolerances()
 
 
 @subkernel
@@ -197,22 +207,24 @@ def roots_between(c: Four, c4: float, places: Array1, count: int, out: Array1) -
         if (before > 0.0) != (after > 0.0):
             out[found] = root_between(c, c4, places[i - 1], t)
             found += 1
-        elif i < count - 1 and abs(after) <= TOUCHING * abs(2.0 * c[2] + (6.0 * c[3] + 12.0 * c4 * t) * t):
-            out[found] = t
-            found += 1
+        elif i < count - 1:
+            bend = abs(2.0 * c[2] + (6.0 * c[3] + 12.0 * c4 * t) * t)
+            if abs(after) <= CROSSING.touching * bend:
+                out[found] = t
+                found += 1
         before = after
     return found
 
 
 @subkernel
 def quartic_roots(c: Four, c4: float, out: Array1) -> int:
-    """Find the roots from `FIRST_CROSSING` to `LAST_CROSSING`, into out (4,); return their number.
+    """Find the roots from `CROSSING.first` to `CROSSING.last`, into out (4,); return their number.
 
     A polynomial has at most one root between its extrema, which are roots of its derivative, found likewise.
     """
     places = np.empty(5)
     extrema = np.empty(4)
-    places[0] = FIRST_CROSSING
+    places[0] = CROSSING.first
     count = 1
     square = 9.0 * c[3] * c[3] - 24.0 * c4 * c[2]
     if square >= 0.0:  # half the second derivative, c2 + 3 c3 t + 6 c4 t^2, has roots
@@ -220,14 +232,14 @@ def quartic_roots(c: Four, c4: float, out: Array1) -> int:
         a = half / (6.0 * c4)
         b = c[2] / half
         for t in (a, b) if a < b else (b, a):
-            if places[count - 1] < t < LAST_CROSSING:  # False if NaN
+            if places[count - 1] < t < CROSSING.last:  # False if NaN
                 places[count] = t
                 count += 1
-    places[count] = LAST_CROSSING
+    places[count] = CROSSING.last
     turning = roots_between((c[1], 2.0 * c[2], 3.0 * c[3], 4.0 * c4), 0.0, places, count + 1, extrema)
     for i in range(turning):
         places[1 + i] = extrema[i]
-    places[1 + turning] = LAST_CROSSING
+    places[1 + turning] = CROSSING.last
     return roots_between(c, c4, places, turning + 2, out)
 
 
@@ -270,7 +282,7 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
         x = ax + s * dx
         y = ay + s * dy
         z = az + s * dz
-        if t > FIRST_CROSSING and x * x + y * y + z * z > smallest:
+        if t > CROSSING.first and x * x + y * y + z * z > smallest:
             out[count] = s
             count += 1
     return count
@@ -290,7 +302,7 @@ def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
     if square >= 0.0 and dd > 0.0:
         half = np.sqrt(square)
         for t in ((-ad - half) / dd, (-ad + half) / dd):
-            if FIRST_CROSSING < t <= LAST_CROSSING:
+            if CROSSING.first < t <= CROSSING.last:
                 out[count] = min(t, 1.0)
                 count += 1
     return count
@@ -355,7 +367,7 @@ def module_inverse(form: int, shape: Array1, x: float, y: float, z: float, out: 
 def clip_to_limits(dof: int, q: Array1, first: int, lower: Array1, upper: Array1) -> bool:
     """Return whether joint positions q are within the limits, up to rounding error; if so, clip them."""
     for j in range(dof):
-        if not lower[first + j] - REACH_TOLERANCE <= q[j] <= upper[first + j] + REACH_TOLERANCE:
+        if not lower[first + j] - CROSSING.reach <= q[j] <= upper[first + j] + CROSSING.reach:
             return False
     for j in range(dof):
         q[j] = min(max(q[j], lower[first + j]), upper[first + j])
@@ -530,7 +542,7 @@ def place_modules(
         while following < samples and not beyond and not facing:
             # Jump to the last sample that cannot be across the reachable set or out of reach, if any. The
             # margin of a thousandth of a step covers errors of the arc length.
-            clear = free_distance(form, shape, a) - REACH_TOLERANCE * reach
+            clear = free_distance(form, shape, a) - CROSSING.reach * reach
             ahead = int(min((s + clear) / step - 1e-3, samples - 1.0))
             jump = ahead >= following
             following = max(ahead, following)
@@ -539,7 +551,7 @@ def place_modules(
             x, y, z = value(spline, 0, span_at(spline, u), u, work)
             b = in_frame(frame, x - px, y - py, z - pz)
             if not jump:
-                beyond = np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) > reach * (1.0 + REACH_TOLERANCE)
+                beyond = np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) > reach * (1.0 + CROSSING.reach)
                 before = choice[0]
                 crossed, facing = search_segment(form, shape, joint, lower, upper, a, b, roots, qs, choice)
                 found += crossed

@@ -59,12 +59,6 @@ class RayMarks(NamedTuple):
 
 MARKS = RayMarks()
 
-LOWEST = np.uint64(0x0101010101010101)
-"""The bits of the cells at z = 0 in a layer of a block."""
-
-HIGHEST = np.uint64(0x8080808080808080)
-"""Those at z = 7."""
-
 
 @compiled
 def place_pixels(
@@ -438,10 +432,12 @@ def _bare(grid: OccupancyGrid, block: tuple[int, int, int], x: int) -> np.uint64
     around &= _word(grid, block, x + 1) if x < last else _word(grid, (i + 1, j, k), 0)
     around &= (bits << np.uint64(8)) | (_word(grid, (i, j - 1, k), x) >> np.uint64(56))
     around &= (bits >> np.uint64(8)) | (_word(grid, (i, j + 1, k), x) << np.uint64(56))
-    low = (_word(grid, (i, j, k - 1), x) >> np.uint64(7)) & LOWEST
-    around &= ((bits << np.uint64(1)) & ~LOWEST) | low
-    high = (_word(grid, (i, j, k + 1), x) << np.uint64(7)) & HIGHEST
-    around &= ((bits >> np.uint64(1)) & ~HIGHEST) | high
+    lowest = np.uint64(0x0101010101010101)  # the bits of the cells at z = 0
+    low = (_word(grid, (i, j, k - 1), x) >> np.uint64(7)) & lowest
+    around &= ((bits << np.uint64(1)) & ~lowest) | low
+    highest = np.uint64(0x8080808080808080)  # those at z = 7
+    high = (_word(grid, (i, j, k + 1), x) << np.uint64(7)) & highest
+    around &= ((bits >> np.uint64(1)) & ~highest) | high
     return bits & ~around
 
 

@@ -28,8 +28,6 @@ from pinposture.kernels.arrays import (
 from pinposture.kernels.compiled import compiled, inlined, subkernel
 from pinposture.kernels.kinematics import placements
 
-STEP_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
-
 
 class PathSpeedSettings(NamedTuple):
     """Settings of the speed along a path and of the return to it."""
@@ -53,12 +51,14 @@ class PathSpeedSettings(NamedTuple):
     rounding: float = 1e-12
     """Relative rounding error of accelerations there."""
 
+    step_rounding: float = 1e-12
+    """Rounding error of a step, in units of each joint."""
+
+    most_braking_steps: float = 1e60
+    """Number of braking steps that stands for infinitely many: a joint without position limits."""
+
 
 PATH_SPEED = PathSpeedSettings()
-
-
-MAX_BRAKING_STEPS = 1e60
-"""Number of braking steps that stands for infinitely many: a joint without position limits."""
 
 
 # The curve through the waypoints of a path.
@@ -496,7 +496,8 @@ def find_stop(path: TimedPathArrays, s: float, speed: float, ends: Array1) -> in
 def _stoppable_step(room: float, brake: float) -> float:
     """Return the largest step from which a joint can still stop within its room; g in `control.limits`."""
     distance = abs(room)
-    steps = min(max(np.ceil(np.sqrt(0.25 + distance * (2.0 / brake)) - 0.5), 1.0), MAX_BRAKING_STEPS)
+    steps = max(np.ceil(np.sqrt(0.25 + distance * (2.0 / brake)) - 0.5), 1.0)
+    steps = min(steps, PATH_SPEED.most_braking_steps)
     return float(np.copysign(distance / steps + 0.5 * brake * (steps - 1.0), room))
 
 
@@ -805,7 +806,7 @@ def step_along(
     inside = True
     for k in range(n):
         u = columns[k]
-        slack = STEP_ROUNDING * units[k]
+        slack = PATH_SPEED.step_rounding * units[k]
         dq[u] = begin[k]
         fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
         inside = inside and fits and abs(begin[k]) <= max_motion * units[k]
@@ -870,7 +871,7 @@ def step_on_profile(
     inside = True
     for k in range(len(columns)):
         u = columns[k]
-        slack = STEP_ROUNDING * units[k]
+        slack = PATH_SPEED.step_rounding * units[k]
         fits = limits[0, u] - slack <= dq[u] <= limits[1, u] + slack
         inside = inside and fits and abs(dq[u]) <= tolerances.max_motion * units[k]
     return s, held_back, inside
@@ -918,7 +919,7 @@ def look_ahead(
         u = columns[k]
         dq[u] = min(max(dq[u], limits[0, u]), limits[1, u])
         reached[u] = positions[u] + dq[u]
-        slack = STEP_ROUNDING * units[k]
+        slack = PATH_SPEED.step_rounding * units[k]
         at_limit[u] = (
             min(abs(position_limits[0, u] - reached[u]), abs(position_limits[1, u] - reached[u])) <= slack
         )

@@ -152,7 +152,10 @@ def find_direct_waypoints(
 
 @subkernel
 def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: Array2) -> float:
-    """Relax the waypoints between two ends.
+    """Relax the waypoints between two ends, one after another.
+
+    `step_waypoints`, which obstacles and tasks need, finds as direct paths, but takes three times as long
+    (`docs/design/relaxation.md`).
 
     Args:
         problem: the joints.
@@ -360,8 +363,9 @@ def step_waypoints(
 ) -> int:
     """Compute a damped Gauss-Newton step of the waypoints between two ends.
 
-    Joints at a limit that the descent would push beyond it are held there. Contacts count if the solids are
-    too close before or after the step.
+    Joints at a limit that the descent would push beyond it are held there; the caller cuts the step at the
+    other limits, as each change of the held joints would need another factor of the whole path. Contacts
+    count if the solids are too close before or after the step.
 
     Args:
         problem: the joints.

@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import (
-    AT,
-    ENDED,
-    JOINED,
-    LAST,
-    MET,
-    OPEN,
-    TURN,
+    OUTCOME,
+    STATE,
     Array1,
     Array2,
     Array3,
@@ -43,8 +38,8 @@ def grow_trees(
     """Grow two trees in turns until they meet.
 
     One extends by a step towards a sample; if that is clear, the other goes as far as it can towards the new
-    node. A distance is kept on all edges, as far as the pairs are exact. `OPEN` leaves an edge to the caller,
-    who calls again with the samples that are left.
+    node. A distance is kept on all edges, as far as the pairs are exact. `OUTCOME.open` leaves an edge to
+    the caller, who calls again with the samples that are left.
 
     Args:
         joints: the joints.
@@ -60,7 +55,7 @@ def grow_trees(
         refused: whether the caller takes the last edge back.
 
     Returns:
-        `ENDED`, `OPEN` or `JOINED`, and the number of samples that are used.
+        The outcome, of `OUTCOME`, and the number of samples that are used.
     """
     nodes, parents, counts, state = trees
     size = len(start)
@@ -72,21 +67,21 @@ def grow_trees(
     used = 0
     clear = True
     if refused:
-        counts[state[LAST]] -= 1
+        counts[state[STATE.last]] -= 1
         clear = False
     while True:
-        if not clear or state[MET] >= 0:  # the next turn
+        if not clear or state[STATE.met] >= 0:  # the next turn
             if clear:
-                return JOINED, used
-            state[TURN] = 1 - state[TURN]
-            state[AT] = -1
-            state[MET] = -1
+                return OUTCOME.joined, used
+            state[STATE.turn] = 1 - state[STATE.turn]
+            state[STATE.at] = -1
+            state[STATE.met] = -1
             used += 1
         if used >= len(samples) or counts[0] + counts[1] >= nodes.shape[1]:
-            return ENDED, used
-        joining = state[AT] >= 0
-        tree = 1 - state[TURN] if joining else state[TURN]
-        wanted = nodes[state[TURN], state[AT]] if joining else samples[used]
+            return OUTCOME.ended, used
+        joining = state[STATE.at] >= 0
+        tree = 1 - state[STATE.turn] if joining else state[STATE.turn]
+        wanted = nodes[state[STATE.turn], state[STATE.at]] if joining else samples[used]
         reached, largest = _nearest(nodes[tree], counts[tree], wanted, units)
         whole = largest <= settings.step
         opened = 0
@@ -116,13 +111,13 @@ def grow_trees(
             parents[tree, counts[tree]] = reached
             reached = counts[tree]
             counts[tree] += 1
-            state[LAST] = tree
+            state[STATE.last] = tree
         if not joining:
-            state[AT] = reached
+            state[STATE.at] = reached
         elif whole:
-            state[MET] = reached
+            state[STATE.met] = reached
         if largest > 0.0 and (opened > 0 or settings.doubtful):
-            return OPEN, used
+            return OUTCOME.open, used
 
 
 @subkernel

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.kernels.arrays import SLIDES, TURNS, ArmArrays, Joints, PointObjective
+from pinposture.kernels.arrays import JOINT, ArmArrays, Joints, PointObjective
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def chain_of(slides: np.ndarray) -> ArmArrays:
     none = np.zeros((0, 3))
     each = np.arange(n, dtype=np.int64)
     ends = np.zeros(0, dtype=np.int64)
-    kinds = np.where(slides, SLIDES, TURNS)
+    kinds = np.where(slides, JOINT.prismatic, JOINT.revolute)
     joints = Joints(each, kinds, np.zeros((n, 3)), np.zeros((n, 3)), each, np.ones(n))
     starts = np.arange(n + 1, dtype=np.int64)
     return ArmArrays(joints, ends, none, np.zeros((0, 3, 3)), each, each, starts)

@@ -24,7 +24,7 @@ from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import PlanningProblem, minimize
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
-from pinposture.kernels.arrays import AT, ENDED, JOINED, LAST, MET, OPEN, TURN, SearchTrees, TreeSettings
+from pinposture.kernels.arrays import OUTCOME, STATE, SearchTrees, TreeSettings
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -378,7 +378,7 @@ class PathSearch:
             )
             growth.turns += used
             growth.samples = growth.samples[used:]
-            if outcome == ENDED:
+            if outcome == OUTCOME.ended:
                 self._trapped = trees.counts - 1 < TREES.trapped_share * 0.5 * growth.turns
                 patient = growth.nodes > TREES.join_nodes or growth.turns < TREES.patient_turns
                 growth.over = (self.is_trapped and not patient) or bool(len(growth.samples))
@@ -386,8 +386,8 @@ class PathSearch:
                     return None
                 count = min(TREES.sampled, growth.nodes - growth.turns)
                 growth.samples = self._samples(growth.one, growth.other, count)
-            refused = outcome == OPEN and not self.is_clear(_last_edge(trees))
-            if outcome == JOINED:
+            refused = outcome == OUTCOME.open and not self.is_clear(_last_edge(trees))
+            if outcome == OUTCOME.joined:
                 return _joined(trees)
         return None
 
@@ -517,15 +517,15 @@ class _Growth:
 
 def _last_edge(trees: SearchTrees) -> Array:
     """Return the offsets at the ends of the last edge, (2, nv)."""
-    tree = trees.state[LAST]
+    tree = trees.state[STATE.last]
     node = trees.counts[tree] - 1
     return np.asarray(trees.nodes[tree, [trees.parents[tree, node], node]])
 
 
 def _joined(trees: SearchTrees) -> Array:
     """Return the offsets from the first root to the second, (N + 1, nv), of trees that have met."""
-    turn = trees.state[TURN]
-    first, second = trees.state[[AT, MET] if turn == 0 else [MET, AT]]
+    turn = trees.state[STATE.turn]
+    first, second = trees.state[[STATE.at, STATE.met] if turn == 0 else [STATE.met, STATE.at]]
     return np.concatenate([_branch(trees, 0, first)[::-1], _branch(trees, 1, second)[1:]])
 
 
