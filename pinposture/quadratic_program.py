@@ -88,6 +88,9 @@ def solve(
 ) -> Solution:
     """Minimise x^T H x / 2 + g^T x within a box, subject to rows.
 
+    It takes any Hessian, and equations. Steps of points along a chain, with rows or without, are for
+    `kernels.minimise_with_rows`, whose time is linear in the number of joints.
+
     If the rows are infeasible, they are violated as little as possible. The box always holds, and so do the
     equations, which must be feasible within it.
 

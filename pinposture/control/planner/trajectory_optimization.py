@@ -425,7 +425,11 @@ class _Iterate(NamedTuple):
 
 
 class _PathRelaxation:
-    """Minimises the energy of a path with penalties by damped Gauss-Newton steps, within the limits."""
+    """Minimises the energy of a path with penalties by damped Gauss-Newton steps, within the limits.
+
+    Unlike those of `descent.descend`, steps are shortened, grow, and are halved before another is computed
+    with more damping: most would move a joint by several radians (`docs/design/relaxation.md`).
+    """
 
     def __init__(self, waypoints: _Waypoints, penalties: Penalties) -> None:
         self._waypoints = waypoints
