@@ -791,7 +791,7 @@ def step_along(
     objective = progress.objective
     here = progress.s
     tasks = objective.task_rows(state, priority=True)
-    proposal = _next_on_path(progress, state, step_bounds, bounds, tasks)
+    proposal = _next_on_path(progress, state, step_bounds, bounds, tasks, avoidance is None)
     s, left, inside, held_back, dq, _ = proposal
     if s >= path.end and left <= ROUNDING:
         progress = progress._replace(arrived=True, s=path.end)
@@ -863,11 +863,12 @@ def _share(rest: Array, dq: Array) -> Array:
 
     Args:
         rest: the motion, (nv,) [rad or m].
-        dq: steps after which each joint can stop at its end, (nv,) [rad or m].
+        dq: steps after which each joint can stop at its end, (nv,) [rad or m]; those that have to turn round
+            do not count.
     """
     moves = rest != 0.0
-    shares = np.abs(dq)[moves] / np.abs(rest[moves])
-    return rest * float(shares.min(initial=1.0))
+    shares = dq[moves] / rest[moves]
+    return rest * float(shares[shares >= 0.0].min(initial=1.0))
 
 
 def _planned_errors(progress: PathProgress, s: float, count: int) -> Array:
@@ -916,8 +917,18 @@ def _next_on_path(
     step_bounds: StepBounds,
     bounds: JointBounds,
     tasks: LinearRows | None,
+    free: bool,
 ) -> _Proposal:
-    """Propose the next step along the path, with the rows of the tasks with priority at the state."""
+    """Propose the next step along the path.
+
+    Args:
+        progress: position of the arm on its path.
+        state: the state of the arm.
+        step_bounds: the steps that the limits allow.
+        bounds: the limits of the joints.
+        tasks: the rows of the tasks with priority at the state; None: there are none.
+        free: whether there is nothing to avoid.
+    """
     timed = progress.timed
     path = progress.timed.path
     here = progress.s
@@ -937,10 +948,17 @@ def _next_on_path(
     left = float(np.abs(rest[columns] / units).max(initial=0.0))
     alone = path.end == 1.0 and not (timed.scheduled or timed.torques is not None)
     if alone and bounds.brake is not None:
-        # On so short a path each joint moves to the end on its own, as fast as it can stop there.
+        # On so short a path each joint moves to the end on its own, as fast as it can stop there. Beside
+        # obstacles that would leave the straight line, which is clear: an arm swung past its end for ever.
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), step_bounds.lower), step_bounds.upper)
+        if tasks is None and not free:
+            dq = np.minimum(np.maximum(_share(rest, dq), step_bounds.lower), step_bounds.upper)
         ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
-        s = 1.0 - (1.0 - here) * min(ahead / max(left, ROUNDING), 1.0)
+        if tasks is None:
+            whole = float(np.abs(path.offsets[-1][columns] / units).max(initial=0.0))
+            s = max(here, 1.0 - ahead / max(whole, ROUNDING))
+        else:  # they need motion off the path as well
+            s = 1.0 - (1.0 - here) * min(ahead / max(left, ROUNDING), 1.0)
         return _Proposal(s, left, True, True, dq, rest)
     lag = path.smooth_offset(here) - offset
     if tasks is not None:

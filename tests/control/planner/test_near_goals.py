@@ -106,3 +106,20 @@ def test_the_compiled_search_ends_in_a_minimum(name: str, seed: int) -> None:
         ]
     )
     assert np.abs(slopes).max(initial=0.0) < 2e-3 * np.sqrt(found.cost) * arm.length + 1e-14
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_beside_obstacles_the_way_to_a_goal_nearby_is_straight(seed: int) -> None:
+    """That is the way that was found clear. Each joint on its own would leave it."""
+    arm = template_arm("RyRz", 4)
+    start = arm.straight()
+    goal = np.random.default_rng(seed).uniform(-0.09, 0.09, arm.nv)
+    ball = pp.Sphere((0.5 * arm.length, 0.0, 0.6 * arm.length), 0.1 * arm.length)
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
+    target = pp.Target.from_configuration(arm, goal)
+    run = pp.track(arm, target, start, limits=limits, scene=pp.Scene({"ball": ball}))
+    assert run.converged
+    shares = (run.q - start) @ goal / (goal @ goal)
+    np.testing.assert_allclose(run.q - start, np.outer(shares, goal), atol=1e-12)
+    free = pp.track(arm, target, start, limits=limits)
+    assert run.steps == free.steps  # the joint that has farthest to go sets the pace of all
