@@ -67,7 +67,7 @@ def a_fed_arm() -> pp.Arm:
 
 
 def a_trajectory_on_a_slide() -> pp.JointTrajectory:
-    positions = [(0.0, 0.1), (0.005, 0.2), (0.01, 0.1)]
+    positions = [(0.0, 0.1), (0.0005, 0.2), (0.001, 0.1)]
     return pp.JointTrajectory.from_positions(("slide", "hinge"), positions, 0.1, ("m", "rad"))
 
 
@@ -292,9 +292,10 @@ def examples() -> dict[str, Any]:
         "ShapeEstimator.add_placement.placement": pin.SE3.Identity(),
         "ShapeEstimator.add_placement.at": -1,
         "ShapeEstimator.move_base.placement": pin.SE3.Identity(),
+        "carrier": an_arm(),
         "CarrierFeed.q": np.array([0.1, 0.3, 0.2, -0.4, 0.2, 0.5]),
-        "CarrierFeed.stroke": 0.01,
-        "CarrierFeed.at.s": 0.005,
+        "CarrierFeed.stroke": 0.001,
+        "CarrierFeed.at.s": 0.0005,
         "CarrierFeed.joint_trajectory.trajectory": a_trajectory_on_a_slide(),
         "Steering.arm": a_fed_arm(),
         "Steering.start": None,
@@ -382,7 +383,7 @@ def examples() -> dict[str, Any]:
 SUBJECTS: dict[str, Callable[[], Any]] = {
     "Arm": lambda: an_arm().with_effort(7.0).with_stiffness(50.0),
     "ArmState": lambda: an_arm().with_effort(7.0).with_stiffness(50.0).at(np.full(6, 0.2)),
-    "CarrierFeed": lambda: pp.CarrierFeed(an_arm(), examples()["CarrierFeed.q"], 0.01),
+    "CarrierFeed": lambda: pp.CarrierFeed(an_arm(), examples()["CarrierFeed.q"], 0.001),
     "CollisionModel": lambda: pp.CollisionModel(an_arm(), examples()["scene"]),
     "Curve": lambda: pp.Curve.spline(examples()["control_points"]),
     "EndEffector": lambda: pp.EndEffector(position=(0.1, 0.0, 0.1)),
