@@ -6,13 +6,14 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import MOTION, OUTPUT, JsonOption, ViewOption, read_changes
+from pinposture.cli.inputs import MOTION, OUTPUT, JsonOption, ViewOption, read_changes, refuse_given
 from pinposture.cli.output import (
     FILES,
     check_directory,
@@ -36,7 +37,7 @@ from pinposture.errors import InvalidValue, PostureError, enumerated
 from pinposture.storage import write_text
 
 if TYPE_CHECKING:
-    from pinposture.task import Reference, Retreats, Task
+    from pinposture.task import Reference, Task
 
 _RESULT = re.compile(r"motion\.[a-z]+")
 """Names of the files of a motion."""
@@ -133,11 +134,54 @@ def _now() -> str:
     return datetime.now(timezone.utc).astimezone().isoformat(timespec="seconds")
 
 
+@dataclass(frozen=True)
+class RetreatOptions:
+    """Whether it is examined that the arm can come out again."""
+
+    retreat: Annotated[
+        int | None,
+        OUTPUT(
+            "With --check: from which of this many postures, evenly spaced, the arm could not come out again "
+            "if any one of its hinges failed there. It takes seconds to minutes for each.",
+            "N",
+        ),
+    ] = None
+    failure: Annotated[
+        str | None,
+        OUTPUT(
+            "With --retreat, how the hinge fails: stuck (the default), limp, or weak, which is a drive with "
+            "30 % of the torque by which weight loads it in the outstretched arm.",
+            "KIND",
+        ),
+    ] = None
+
+    def read(self, check: bool) -> tuple[int, str] | None:
+        """Return from how many postures it is to come out, and how a hinge fails; None: it is not asked.
+
+        Raises:
+            InvalidValue: a number below 1, or not with what it belongs to.
+            UnknownName: another kind of failure.
+        """
+        from pinposture._validation import require_known
+        from pinposture.sim.plant import FAILURES
+
+        count = self.retreat
+        if count is not None and (not check or count < 1):
+            raise InvalidValue("--retreat", count, "a number of 1 or more, with --check")
+        if count is None:
+            refuse_given({"--failure": self.failure}, "nothing without --retreat")
+            return None
+        kind = FAILURES[0] if self.failure is None else self.failure
+        require_known("kind of failure", kind, FAILURES)
+        return count, kind
+
+
 @examples(
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes",
     "pinposture run examples/tasks/around.toml --json",
     "pinposture run examples/tasks/pipe.toml --check",
     "pinposture run examples/tasks/pipe.toml --check --retreat 5",
+    "pinposture run examples/tasks/pipe.toml --check --retreat 5 --failure limp",
     "pinposture run examples/tasks/inspection.toml -o out/inspection",
     "pinposture run examples/tasks/keyframes.toml --set limits.velocity=1",
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes --view",
@@ -168,14 +212,7 @@ def run(
             flags="--check",
         ),
     ] = False,
-    retreat: Annotated[
-        int | None,
-        OUTPUT(
-            "With --check: from which of this many postures, evenly spaced, the arm could not come out again "
-            "if any one of its hinges stuck there. It takes seconds to minutes for each.",
-            "N",
-        ),
-    ] = None,
+    retreat_options: RetreatOptions,
     as_json: JsonOption = False,
     view: ViewOption = False,
 ) -> None:
@@ -192,14 +229,13 @@ def run(
     from pinposture.task import Task
     from pinposture.task.reference import find_crowded
 
-    if retreat is not None and (not check or retreat < 1):
-        raise InvalidValue("--retreat", retreat, "a number of 1 or more, with --check")
+    asked = retreat_options.read(check)
     task = Task.load(file, read_changes(changes))
     if check:
         with count_progress("posture") as placing:
             reference = task.reference(placing)
-        retreats = None if retreat is None else _find_retreats(task, reference, retreat)
-        _print_check(file, task, reference, retreats, as_json)
+        out = None if asked is None else _find_retreats(task, reference, *asked)
+        _print_check(file, task, reference, out, as_json)
         return
     folder = None if output is None else Folder(output, str(file))
     with nullcontext() if folder is None else _kept_in(folder):
@@ -222,61 +258,67 @@ def run(
     end_with(motion.faults)
 
 
-def _find_retreats(task: Task, reference: Reference, count: int) -> Retreats:
-    """Return the ways out of evenly spaced postures, up to the first from which there is none.
+def _find_retreats(task: Task, reference: Reference, count: int, kind: str) -> dict[str, Any]:
+    """Return from which of evenly spaced postures the arm cannot come out first, as JSON-compatible data.
 
     A slide, such as the feed, does not count: no arm comes out if that sticks.
 
     Raises:
         InvalidValue: the arm holds something on its way.
+        WeightUnknown: a limp or weak hinge of an arm whose masses are not known.
     """
     import numpy as np
 
+    from pinposture.sim.plant import PLANT
     from pinposture.task import can_retreat
 
     if reference.held:
         raise InvalidValue("--retreat", count, "only for a task in which the arm holds nothing")
-    hinges = [task.arm.joint_names[u] for u in task.arm.columns if not task.arm.slides[u]]
+    arm = task.arm
+    hinges = [arm.joint_names[u] for u in arm.columns if not arm.slides[u]]
+    share = {"stuck": None, "limp": 0.0, "weak": PLANT.weak}[kind]
+    torques = None
+    if share is not None:
+        loads = dict(zip(arm.joint_names, arm.outstretched_torques.tolist(), strict=True))
+        torques = {name: share * loads[name] for name in hinges}
     rows = np.array([reference.configuration(row) for row in range(reference.rows)])
     postures = np.unique(np.linspace(0, reference.rows - 1, count + 1).round().astype(int))[1:].tolist()
     with count_progress("posture") as examining:
-        return can_retreat(
-            task.arm,
+        retreats = can_retreat(
+            arm,
             rows,
             task.surroundings(reference),
             hinges or None,
+            torque=torques,
             postures=postures,
             limits=task.limits,
             budget=10.0,  # for one joint [s]
             until_blocked=True,
             progress=examining,
         )
-
-
-def _describe_retreats(retreats: Retreats, reference: Reference) -> dict[str, Any]:
-    """Describe from which posture the arm cannot come out, as JSON-compatible data [s, rad or m]."""
     first = retreats.first
     examined = len({way.posture for way in retreats.ways})
-    if first is None:
-        return {"examined": examined, "first_blocked": None}
-    blocked = {
-        "planned": float(reference.times[first.posture]),
-        "joints": {way.joint: way.position for way in retreats.blocked},
-        "reason": first.reason,
-    }
-    return {"examined": examined, "first_blocked": blocked}
+    blocked = None
+    if first is not None:
+        blocked = {
+            "planned": float(reference.times[first.posture]),
+            "joints": {way.joint: way.position for way in retreats.blocked},
+            "reason": first.reason,
+        }
+    return {"failure": kind, "examined": examined, "first_blocked": blocked}
 
 
 def _retreats_in_words(retreats: Mapping[str, Any]) -> str:
     blocked = retreats["first_blocked"]
+    kind = retreats["failure"]
     if blocked is None:
-        return f"from all postures examined ({retreats['examined']}), whichever hinge sticks there"
+        return f"from all postures examined ({retreats['examined']}), whichever hinge is {kind} there"
     joints = enumerated([f"{name} at {at:.4g}" for name, at in blocked["joints"].items()], 4)
-    return f"not at {blocked['planned']:.4g} s if one of these sticks: {joints}; {blocked['reason']}"
+    return f"not at {blocked['planned']:.4g} s if one of these is {kind}: {joints}; {blocked['reason']}"
 
 
 def _print_check(
-    file: Path, task: Task, reference: Reference, retreats: Retreats | None, as_json: bool
+    file: Path, task: Task, reference: Reference, out: Mapping[str, Any] | None, as_json: bool
 ) -> None:
     """Print the plan, how well the arm can perform it, and from where it could not come out again."""
     keyframes = task.feasibility(reference)
@@ -288,7 +330,6 @@ def _print_check(
         }
         for keyframe in keyframes
     ]
-    out = None if retreats is None else _describe_retreats(retreats, reference)
     if as_json:
         told = {} if out is None else {"retreat": out}
         print_json({"task": str(file), "keyframes": described, "planned": reference.duration, **told})

@@ -55,6 +55,10 @@ class FeedbackSettings(NamedTuple):
     limit_tolerance: float = 1e-6
     """Distance from a limit that counts as being there, in `Arm.joint_units`, or relative."""
 
+    limp_error: float = 0.1
+    """Distance up to which a limp joint hangs where it is expected, in `Arm.joint_units`: end stops give way,
+    and it swings a little on the way."""
+
 
 FEEDBACK = FeedbackSettings()
 
@@ -196,6 +200,8 @@ class Feedback:
         response: how the drives respond.
         settled: whether the arm is at its target, so that estimates stay as they are.
         lead: what drives are sent beyond the command, so that they follow it, (nv,) [rad or m].
+        limp: degrees of freedom that are not to follow, (nv,): near where they are expected, they are not fed
+            back.
 
     Args:
         arm: the arm.
@@ -237,6 +243,7 @@ class Feedback:
         self._patience = resync_time
         self._deviating: Array | None = None
         self._failing: dict[tuple[int, str], float] = {}
+        self.limp = np.zeros(arm.nv, dtype=bool)
         self._agreed_for = 0.0
         self._at_rest = True
         self._last_compensated: tuple[Target, Target, Array, Array] | None = None
@@ -314,8 +321,11 @@ class Feedback:
                 return FeedbackState(None, str(error), None)
         difference = self._difference(measured)
         positions = cast(Array, self.positions) + difference
-        self._watch(positions, dt)
-        excess = self._excess(positions, dt)
+        hangs = self.limp & (np.abs(difference) <= FEEDBACK.limp_error * arm.joint_units)
+        difference[hangs] = 0.0
+        followed = cast(Array, self.positions) + difference
+        self._watch(followed, dt)
+        excess = self._excess(followed, dt)
         if excess.max() > self._max_difference and self.compensates and not self.response.stopped.any():
             self.response.hold_standing(positions, cast(Array, self.positions))
             excess = self._without_stopped(excess)

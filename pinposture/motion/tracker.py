@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from math import inf, isfinite
 from time import perf_counter
@@ -408,18 +408,31 @@ class Tracker:
             apart = max(apart, np.abs(target.q - before.q).max())
         return bool(apart <= ROUNDING)
 
-    def restart(self, q_measured: ArrayLike | Mapping[str, float], dq: ArrayLike | None = None) -> None:
+    def restart(
+        self,
+        q_measured: ArrayLike | Mapping[str, float],
+        dq: ArrayLike | None = None,
+        *,
+        limp: Collection[str] = (),
+    ) -> None:
         """Restart from the measured configuration, keeping the target.
 
         Args:
             q_measured: the measured configuration, (nq,), or positions as in `step`.
             dq: its displacement in the last cycle, (nv,) [rad or m]; None if the arm is at rest.
+            limp: names of joints without torque in `Arm.joint_names`: from now on, they need not follow their
+                command, as long as it is near where they hang (`can_retreat`).
 
         Raises:
-            InvalidValue: q_measured is not a configuration, or dq not a displacement.
+            InvalidValue: q_measured is not a configuration, dq not a displacement, or limp no names.
+            UnknownName: a limp joint that the arm does not have.
         """
+        require_instance("limp", limp, Collection, "names of joints")
+        for name in limp:
+            require_known("joint", name, self.arm.joint_names)
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
         self._feedback.restart(read_start(self.arm, q_measured), moved is not None)
+        self._feedback.limp = np.isin(self.arm.joint_names, list(limp))
         if self._touch is not None:
             self._touch.restart()
         self._loop.memory = None if moved is None else Memory(moved)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple, cast
@@ -25,7 +25,7 @@ from pinposture.operate.leaders import MovedTip, TipLeader, leader_of
 from pinposture.operate.ways import NO_PLAN, CurveAlong, NextStep, Planned, Ways, out_of, towards
 from pinposture.placement import Target
 from pinposture.placement.target import target_at
-from pinposture.task.falling import fall_of, torque_left
+from pinposture.task.falling import FailureWatch, take_fallen
 from pinposture.task.retreat import WayIn
 from pinposture.units import ROUNDING, length_text
 
@@ -52,12 +52,6 @@ class OperationSettings(NamedTuple):
     latest: float = 4.0
     """Largest duration of a cycle that counts when the tip is braked, in nominal ones."""
 
-    still: float = 0.02
-    """Motion of a joint up to which it stands, in `Arm.joint_units`."""
-
-    stands_after: float = 0.5
-    """Time within that after which it has come to rest [s]."""
-
     drawing: float = 0.2
     """Time between two drawings of the way of the tip [s]."""
 
@@ -69,11 +63,8 @@ LOCKING = "a joint that is stuck is being locked"
 """Why the arm holds until it goes on without that joint."""
 
 
-class Rest(NamedTuple):
-    """Where a measured arm has stood, (nq,), and since when [s]."""
-
-    q: Array
-    time: float
+FALLEN = "has fallen, as limp or weak: only the way that is planned can be driven"
+"""Why the tip is not led."""
 
 
 class Shown(NamedTuple):
@@ -178,10 +169,9 @@ class Operation:
         self._way_in = WayIn(arm)
         self._next = 0
         self._stuck: JointFailure | None = None
-        self._astray: JointFailure | None = None
-        self._fallen = False
+        self._watched = FailureWatch(arm)
+        self._fallen = ""  # name of a joint
         self._to_look = False
-        self._still: Rest | None = None
         nothing = np.zeros((0, 3))
         self.shown = Shown(
             measured=None,
@@ -257,24 +247,31 @@ class Operation:
             order=order,
             led=self._led,
             planned=self.ways.planned,
-            stuck=self._failing,
+            stuck=self._describe_failing(report.failures),
             time=now,
         )
         if self.watch is not None:
             self.watch(self.shown)
         return hold
 
-    @property
-    def _failing(self) -> str:
-        """What is known of a joint that fails; empty if none does."""
+    def _describe_failing(self, failures: Sequence[JointFailure]) -> str:
+        """Return what is known of a joint that fails, with those of the last cycle; empty if none does."""
         if self._stuck is not None:
             return str(self._stuck)
-        if self._astray is None:
-            return ""
         if self._fallen:
-            why = "has fallen, as limp or weak: only the way that is planned can be driven"
-            return f"{self._astray.joint} {why}"
-        return f"{self._astray}; if it has fallen, look for the way out"
+            return f"{self._fallen} {FALLEN}"
+        astray = self._astray
+        if astray is None:
+            return ""
+        fails = str(astray)
+        if astray.joint not in {failure.joint for failure in failures}:
+            fails = f"{astray.joint} was {astray.kind}, and has not followed its command since"
+        return f"{fails}; if it has fallen, look for the way out"
+
+    @property
+    def _astray(self) -> JointFailure | None:
+        """The joint that was astray last, and has not followed its command since; None if there is none."""
+        return next(reversed(self._watched.astray.values()), None)
 
     def reshape(self, curve: CurveAlong) -> None:
         """Have a way planned to the shape of a curve along the arm. May be called from any thread."""
@@ -311,12 +308,12 @@ class Operation:
 
     def _attend(self, tracker: Tracker, measured: Array, scene: Scene) -> str:
         """Attend to joints that fail, to wishes and to plans; return why the arm has to hold."""
-        self._watch_joints(tracker.report, measured, scene)
+        self._watch_joints(tracker, measured, scene)
         for wish in self.control.wishes():
             self._prepare(wish, scene)
-        if self._to_look and self._stands(measured):
+        if self._watched.stands(measured, self._clock()) and self._to_look:
             self._to_look = False
-            self._look_out_fallen(tracker, scene)
+            self._look_out_fallen(tracker, measured, scene)
         way = self.ways.poll(cast(Array, self._led))
         if way is not None and way.arm is not self.arm:
             self._go_on_without_joint(way.arm)
@@ -327,7 +324,7 @@ class Operation:
         """Lead the tip; return why the arm has to hold."""
         leader = cast(TipLeader, self._leader)
         if self._fallen:
-            return self._failing
+            return f"{self._fallen} {FALLEN}"
         if order is not None and np.any(order.direction):
             away = leader.rejoin(cast(Array, self._led))
             if away:
@@ -425,10 +422,12 @@ class Operation:
             self.ways.say("there is no step: keep a posture, or give a task")
         elif self._stuck is not None:
             self._look_out(f"out, with {self._stuck.joint} locked", self._stuck.joint, scene)
-        elif self._astray is None:
-            self.ways.say("no joint fails")
-        else:
+        elif self._fallen:
+            self._take_as_fallen(self._fallen)
+        elif self._astray is not None:
             self._take_as_fallen(self._astray.joint)
+        else:
+            self.ways.say("no joint fails")
 
     def _look_out(self, name: str, joint: str, scene: Scene, torque: float | None = None) -> None:
         """Have the way out planned with a joint that sticks, or gives a torque [N m or N]."""
@@ -437,54 +436,36 @@ class Operation:
         self.ways.ask(name, cast(Array, self._led), scene, find)
 
     def _take_as_fallen(self, joint: str) -> None:
-        """Take the joint that was astray last for one that is limp or weak."""
-        self._fallen = True
+        """Take a joint that was astray for one that is limp or weak."""
+        self._fallen = joint
         self._to_look = True
         self._velocity = np.zeros(3)
         self.ways.say(f"where {joint} comes to rest is waited for")
 
-    def _look_out_fallen(self, tracker: Tracker, scene: Scene) -> None:
+    def _look_out_fallen(self, tracker: Tracker, measured: Array, scene: Scene) -> None:
         """Look for the way out with a joint that has fallen, with the torque that its drive still gives."""
-        arm = self.arm
-        joint = cast(JointFailure, self._astray).joint
-        column = arm.joint_names.index(joint)
-        positions = arm.positions(tracker.command)
-        positions[column] = arm.positions(cast(Rest, self._still).q)[column]
-        state = arm.chain_at(arm.configuration(positions))
         try:
-            torque = torque_left(state, column)
-            fall = fall_of(state, column, torque)
+            fallen = take_fallen(tracker, self._fallen, measured)
         except PostureError as unknown:
             self.ways.say(str(unknown))
             return
-        if fall is not None:
-            positions[column] = fall.rest
-        self._led = arm.configuration(positions)
-        tracker.restart(self._led)
+        self._led = fallen.q
         self.ways.forget()
-        self._look_out(f"out, with {joint} {'weak' if torque else 'limp'}", joint, scene, torque)
+        self._look_out(f"out, with {fallen.joint} {fallen.kind}", fallen.joint, scene, fallen.torque)
 
-    def _stands(self, measured: Array) -> bool:
-        """Return whether the measured arm has come to rest."""
-        now = self._clock()
-        still = self._still
-        if still is None or np.any(
-            np.abs(self.arm.difference(still.q, measured)) > OPERATION.still * self.arm.joint_units
-        ):
-            still = self._still = Rest(measured, now)
-        return now - still.time >= OPERATION.stands_after
-
-    def _watch_joints(self, report: Report, measured: Array, scene: Scene) -> None:
+    def _watch_joints(self, tracker: Tracker, measured: Array, scene: Scene) -> None:
         """Notice joints that fail; if one is stuck, look for the way out."""
-        if not self.goes_on or self._stuck is not None:
+        if not self.goes_on or self._stuck is not None or self._fallen:
             return
-        self._astray = next((failure for failure in report.failures if failure.kind != "stuck"), self._astray)
-        stuck = next((failure for failure in report.failures if failure.kind == "stuck"), None)
-        if stuck is None or self._fallen:
+        failures = tracker.report.failures
+        if failures or self._watched.astray:
+            self._watched.update(failures, tracker.command, measured)
+        stuck = next((failure for failure in failures if failure.kind == "stuck"), None)
+        if stuck is None:
             return
         # What is held means another motion now.
         self._velocity = np.zeros(3)
-        if self._astray is not None and stuck.joint == self._astray.joint:
+        if stuck.joint in self._watched.astray:
             self.control.lose("a joint has fallen; release, and hold again")
             self._take_as_fallen(stuck.joint)
             return

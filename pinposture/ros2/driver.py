@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from queue import Empty, SimpleQueue
@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_instance, require_positive
+from pinposture._validation import require_instance, require_known, require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Map, Scene
 from pinposture.collision.mapping import MAPPING, SEEN
@@ -33,6 +33,7 @@ from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
 from pinposture.ros2.shape_readings import FAULTS, ShapeReadings, ShapeSensing
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Duration, Length, declared, one_of
 from pinposture.sim import set_points
+from pinposture.task.falling import FALLING, FailureWatch, Fallen, require_falling, take_fallen
 from pinposture.task.retreat import WayIn
 
 Array = NDArray[np.float64]
@@ -99,8 +100,8 @@ class DriverSettings(Declared):
         touch: how to notice from measured efforts that something touches the arm; None: it is not noticed.
         sensing: what other sensors tell the shape; None: the encoders of all joints alone do.
         lock_after: time for which a joint has to stick before it is locked, and the arm goes on without it
-            [s]; None: the arm holds until the joint moves. One that was astray before is not locked: it may
-            be limp or weak, and move with the others.
+            [s]; None: the arm holds until the joint moves. One that was astray before is not locked, but
+            taken for limp or weak (`fallen`).
         max_cloud_age: age of the last cloud above which the map is stale [s], once there was one; None: it
             never is.
         stale: what the arm does on a stale map: "hold", or "slow": it moves with a quarter of its speed.
@@ -160,15 +161,7 @@ class Guide(Protocol):
         held: str = "",
         speed: float = 1.0,
     ) -> str:
-        """Set the target of a tracker for a cycle.
-
-        Args:
-            tracker: the tracker.
-            measured: the measured configuration, (nq,); None if it is not known.
-            scene: what the arm keeps clear of.
-            dt: duration of the cycle [s].
-            held: why the arm brakes and holds whatever it is led to; empty if it does not.
-            speed: share of the usual speed that is allowed, from 0 to 1.
+        """Set the target of a tracker for a cycle, as `pinposture.operate.Operation.lead`.
 
         Returns:
             Why the arm has to brake and hold; empty if it may move.
@@ -198,7 +191,9 @@ class Performance:
         near = report.mean_error is not None and report.mean_error <= DRIVER.arrived * self._arm.length
         if report.status in ("converged", "stalled") and near:
             self._begun = True
-        if self._begun and report.status in ("moving", "converged"):
+        if self._begun and (
+            report.status in ("moving", "converged") or (near and report.status == "stalled")
+        ):
             self.time += dt
         return self._target_at(self.time)
 
@@ -221,8 +216,9 @@ class Driver:
     it is measured when it is set to false. `locked` names joints that are left where they are, separated by
     commas; joints that stick are added after `lock_after`. The arm then goes on to its target as nearly as
     the others can, and diagnostics tell how near, and whether there is a way out. With `retreat` it comes out
-    by that way, to where it was when the driver began. `max_age`, `hold`, `locked`, `retreat` and the limits
-    can be changed at any time.
+    by that way, to where it was when the driver began. `fallen` names a joint that is limp or weak: the arm
+    holds, and can only come out. `max_age`, `hold`, `locked`, `fallen`, `retreat` and the limits can be
+    changed at any time.
 
     The arm brakes and holds within its limits while measurements are missing, old, from the future or not
     finite, and while a cloud cannot be used: its frame is unknown, no point is finite, or the joints were not
@@ -266,6 +262,7 @@ class Driver:
         self.arm = arm
         self._node = node
         self._retreats = False
+        self._falling = ""  # name of a joint that is limp or weak
         self._to_lock: tuple[str, ...] | None = None  # names, until the joints are measured
         self._given = self._declare_parameters(settings or DriverSettings(), limits)
         self._frames = CloudFrames(arm)
@@ -307,7 +304,8 @@ class Driver:
         )
         self._way_in = WayIn(arm)
         self._stuck: set[str] = set()  # that cannot be locked
-        self._fallen: set[str] = set()  # that were astray
+        self._watched = FailureWatch(arm)
+        self._fallen: Fallen | None = None  # once it has come to rest
         self._target_fault = ""
         self._occurrences = Occurrences()  # of reasons why the arm does not move as it shall
         self._connect(node)
@@ -370,7 +368,8 @@ class Driver:
         }
         self._hold = declare("hold", False, "whether the arm brakes and holds")
         self._to_lock = self._lockable(declare("locked", "", "joints that are left where they are")) or None
-        declare("retreat", False, "whether the arm comes out without its locked joints")
+        self._falling = self._require_falling(declare("fallen", "", "joint that is limp or weak"))
+        declare("retreat", False, "whether the arm comes out without its locked joints, or with a fallen one")
         dt = 1.0 / self.settings.rate
         return usual_limits(self.arm, dt) if limits is None else replace(limits, dt=dt)
 
@@ -390,11 +389,12 @@ class Driver:
         bounds = {name: value for name, value in changed.items() if name in self._bounds}
         try:
             settings = replace(self.settings, max_age=changed.get("max_age", self.settings.max_age))
-            if "locked" in changed:
+            for name in changed.keys() & {"locked", "fallen"}:
                 if self._guide is not None:
                     allowed = "unchanged while an operator or another guide leads the arm"
-                    raise InvalidValue("locked", changed["locked"], allowed)
-                to_lock = self._lockable(changed["locked"])
+                    raise InvalidValue(name, changed[name], allowed)
+            to_lock = self._lockable(changed.get("locked", ""))
+            falling = self._require_falling(changed.get("fallen", self._falling))
             if changed.get("retreat", False) and not self._retreats:
                 self._require_way_in()
             if bounds:
@@ -403,6 +403,10 @@ class Driver:
             return SetParametersResult(successful=False, reason=str(error))
         if "locked" in changed:
             self._to_lock = to_lock
+        if falling != self._falling:
+            self._watched.forget(self._falling)
+            self._falling = falling
+            self._posted.put(self._change_fallen)
         if changed.get("retreat", self._retreats) != self._retreats:
             self._retreats = changed["retreat"]
             self._posted.put(self._change_retreat)
@@ -554,10 +558,10 @@ class Driver:
             guide: the guide; called in the thread in which the node works. It says which joints are locked.
 
         Raises:
-            InvalidValue: joints are locked already.
+            InvalidValue: joints are locked already, or one has fallen.
         """
-        if self.locked or self._to_lock:
-            raise InvalidValue("guide", guide, "none while joints are locked")
+        if self.locked or self._to_lock or self._falling:
+            raise InvalidValue("guide", guide, "none while joints are locked, or one has fallen")
         self._performance = None
         self._guide = guide
 
@@ -566,6 +570,8 @@ class Driver:
             raise InvalidValue(name, value, "none while an operator or another guide leads the arm")
         if self._retreats:
             raise InvalidValue(name, value, "none while the parameter retreat is true")
+        if self._falling:
+            raise InvalidValue(name, value, f"none while {self._falling} has fallen: only retreat")
 
     # Joints that fail.
 
@@ -580,35 +586,76 @@ class Driver:
             self.arm.with_locked(dict.fromkeys(names, 0.0))
         return names
 
-    def _lock_stuck(self) -> None:
-        """Have joints locked that stick for long enough, but for those that fell before."""
+    def _require_falling(self, name: str) -> str:
+        """Return the name of a joint that may have fallen, or nothing.
+
+        Raises:
+            PostureError: it is none that can, or its weight is not known.
+        """
+        if name:
+            require_known("joint that moves", name, self.arm.joint_names)
+            require_falling(self.arm, [self.arm.joint_names.index(name)])
+        return name
+
+    def _attend_failures(self, q: Array) -> None:
+        """Have joints locked that stick for long enough, but for those that fell: they are limp or weak."""
         failures = self.tracker.report.failures
-        self._fallen |= {failure.joint for failure in failures if failure.kind != "stuck"}
+        if failures or self._watched.astray:
+            self._watched.update(failures, self.tracker.command, q)
         patience = self.settings.lock_after
         if patience is None or self._preparing or self._to_lock is not None:
             return
-        known = {*self.locked, *self._stuck}
+        known = {*self.locked, *self._stuck, self._falling}
         stuck = [
             failure.joint
             for failure in failures
             if failure.kind == "stuck" and failure.duration >= patience and failure.joint not in known
         ]
-        fallen = self._fallen.intersection(stuck)
-        if fallen:
-            self._stuck |= fallen
-            words = (
-                f"{', '.join(sorted(fallen))}: not locked, as what fell before it stood may be limp or weak"
-            )
-            self._node.get_logger().error(words)
+        fallen = [name for name in stuck if name in self._watched.astray]
+        fallen += [
+            failure.joint
+            for failure in failures
+            if failure.kind in ("limp", "weak")
+            and failure.duration >= min(patience, FALLING.stands_after)
+            and failure.joint not in known
+        ]
+        if fallen and not self._falling:
+            self._set("fallen", fallen[0], fallen[:1])
         stuck = [name for name in stuck if name not in fallen]
         if stuck:
-            from rclpy.parameter import Parameter
+            self._set("locked", ", ".join([*self.locked, *stuck]), stuck)
 
-            names = ", ".join([*self.locked, *stuck])
-            (answer,) = self._node.set_parameters([Parameter("locked", value=names)])
-            if not answer.successful:
-                self._stuck |= set(stuck)
-                self._node.get_logger().error(f"it cannot be locked: {answer.reason}")
+    def _set(self, parameter: str, value: str, joints: Sequence[str]) -> None:
+        """Set a parameter because joints fail; if it is refused, remember that nothing can be done."""
+        from rclpy.parameter import Parameter
+
+        (answer,) = self._node.set_parameters([Parameter(parameter, value=value)])
+        if not answer.successful:
+            self._stuck |= set(joints)
+            self._node.get_logger().error(f"{', '.join(joints)} cannot be {parameter}: {answer.reason}")
+
+    def _change_fallen(self) -> None:
+        """Wait until a joint that has fallen comes to rest, or go on with it from where the arm is."""
+        self._performance = None
+        self._fallen = None
+        self._fallback = "the arm has to come to rest first" if self._falling else ""
+        if self._falling:
+            return
+        self._restart()
+        if self.locked or self._retreats:
+            self._look_again(self._retreats)
+
+    def _look_out_fallen(self, q: Array, now: int) -> None:
+        """Look for the way out of a joint that has fallen, once the arm has come to rest at q, (nq,)."""
+        stands = self._watched.stands(q, now / NANOSECONDS)
+        waits = self._falling and self._fallen is None and not self._preparing
+        if not (waits and stands and self.tracker.at_rest):
+            return
+        if not self._located:  # nothing was sent yet
+            self._restart()
+        self._fallen = take_fallen(self.tracker, self._falling, q)
+        self._fallback = "searched for"
+        self._ahead.ask(self._situation(self.tracker.arm, self.locked, self._fallen.q, self._retreats))
 
     def _lock(self, q: Array) -> None:
         """Have the arm prepared without joints that are to be locked, at a configuration, (nq,)."""
@@ -639,7 +686,8 @@ class Driver:
     def _situation(self, arm: Arm, positions: dict[str, float], q: Array, leave: bool) -> Locked:
         target = self.tracker.target
         limits = self._limits({})
-        return Locked(self.arm, arm, positions, q, target, self._scene, limits, self._way_in.rows, leave)
+        rows = self._way_in.rows
+        return Locked(self.arm, arm, positions, q, target, self._scene, limits, rows, leave, self._fallen)
 
     def _look_ahead(self, locked: Locked, outdated: Event) -> Fallback:
         """Prepare a tracker, if other joints are locked, and find what is possible. Runs in a thread."""
@@ -648,7 +696,7 @@ class Driver:
             while not (self.tracker.at_rest or outdated.wait(POLLING)):
                 pass
             self._posted.put(lambda: self._take_over(locked, tracker))
-        if not locked.positions or self._guide is not None:
+        if not (locked.positions or locked.fallen) or self._guide is not None:
             return Fallback(None, None, LED if self._guide is not None else "no joint is locked")
         return self._fallbacks.find(locked, outdated)
 
@@ -681,13 +729,16 @@ class Driver:
     def _take_fallback(self, done: Done[Locked, Fallback]) -> None:
         """Tell a fallback, and begin the way out if it is wanted."""
         fallback = done.answer
+        request = done.request
         if fallback is None:
             self._preparing = ""
-        idle = self._guide is not None or not (done.request.positions or done.request.leave)
+        if request.fallen is not self._fallen or (self._falling and request.fallen is None):
+            return
+        idle = self._guide is not None or not (request.positions or request.leave or request.fallen)
         if idle and fallback is not None:
             return
         self._fallback = str(done.error if fallback is None else fallback)
-        if done.request.leave and self._retreats and fallback is not None and fallback.way_out is not None:
+        if request.leave and self._retreats and fallback is not None and fallback.way_out is not None:
             motion = fallback.way_out.sampled(self._period)
             self._performance = Performance(self.tracker.arm, motion)
 
@@ -695,8 +746,9 @@ class Driver:
         """Raise InvalidValue if the arm cannot be asked to retreat."""
         if self._guide is not None:
             raise InvalidValue("retreat", True, "false while an operator or another guide leads the arm")
-        if not self.locked or self._preparing:
-            raise InvalidValue("retreat", True, "false while no joint is locked; send ~/posture instead")
+        if not (self.locked or self._falling) or self._preparing:
+            allowed = "false while no joint is locked or has fallen; send ~/posture instead"
+            raise InvalidValue("retreat", True, allowed)
 
     def _change_retreat(self) -> None:
         """Have a way out searched for, or end it."""
@@ -707,6 +759,10 @@ class Driver:
     def _look_again(self, leave: bool) -> None:
         """Have looked what is possible now, or for the way out."""
         if self._preparing:  # it is looked for then
+            return
+        if self._falling:  # it is looked for when the arm stands
+            self._fallen = None
+            self._fallback = "the arm has to come to rest first"
             return
         q = self._configuration(self._joints.measurement(self._now()))
         if q is None:
@@ -784,6 +840,7 @@ class Driver:
             self._lock(q)
             if self._guide is not None:
                 self._go_on_as(self._guide, q)
+            self._look_out_fallen(q, now)
         self._pass_clouds_on(now)
         self._run_posted()
         self._take_cells()
@@ -798,7 +855,8 @@ class Driver:
         self.status = report.status
         self.reason = held or report.reason
         self._located = self._located or report.tracking_error is not None
-        self._lock_stuck()
+        if q is not None:
+            self._attend_failures(q)
         if self._located:
             self._commands.publish(self._command())
             if measured.stamp:
@@ -854,7 +912,7 @@ class Driver:
         clouds = [
             f"a cloud in frame {frame!r} is refused: {why}" for frame, why in self._cloud_faults.items()
         ]
-        waits = self._retreats and self._performance is None
+        waits = self._performance is None
         reasons = (
             "the driver ends" if self._stopping else "",
             measured.reason,
@@ -862,7 +920,8 @@ class Driver:
             stale if self.settings.stale == "hold" else "",
             "the parameter hold is true" if self._hold else "",
             self._preparing,
-            f"the arm is to retreat; way out: {self._fallback}" if waits else "",
+            f"the arm is to retreat; way out: {self._fallback}" if waits and self._retreats else "",
+            f"{self._falling} has fallen; way out: {self._fallback}" if waits and self._falling else "",
         )
         return next(filter(None, reasons), "")
 
@@ -932,7 +991,7 @@ class Driver:
         stale = self._stale(now)
         sensed = {} if self._shape is None else self._shape.told(now)
         level = 0 if self.status in ("moving", "converged") and not self._target_fault else 1
-        if self.locked or stale or any(sensed.get(key) for key in FAULTS):
+        if self.locked or self._falling or stale or any(sensed.get(key) for key in FAULTS):
             level = 1
         if measured.reason or self._cloud_faults:
             level = 2
@@ -947,6 +1006,7 @@ class Driver:
             "violated": "; ".join(report.violated_constraints),
             "failing joints": "; ".join(map(str, report.failures)),
             "locked joints": "; ".join(f"{name} at {at:.4g}" for name, at in self.locked.items()),
+            "fallen joint": self._falling if self._fallen is None else str(self._fallen),
             "without them": self._fallback,
             "target": self._target_fault or ("given" if self.tracker.target is not None else "none"),
             "cells seen by cameras": len(self._map.cells.points),

@@ -1,4 +1,4 @@
-"""What an arm can still do without a joint that fails, and the way out: found in another process."""
+"""What an arm can still do with a joint that fails, and the way out: found in another process."""
 
 from __future__ import annotations
 
@@ -20,9 +20,14 @@ from pinposture.motion.latest import Outdated
 from pinposture.motion.processes import BackgroundProcess, Interrupted
 from pinposture.placement import Target
 from pinposture.task import can_retreat
+from pinposture.task.falling import Fallen
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
+
+SLOWER = 4.0
+"""How many times longer a way out with a joint that has fallen takes than limits require: one that hangs
+swings if the arm is fast, and one that is weak has little torque left for accelerations."""
 
 POLLING = 0.05
 """Time between two looks whether an answer is there, or outdated [s]."""
@@ -41,6 +46,7 @@ class Locked(NamedTuple):
         limits: its limits.
         way_in: configurations by which it came, from outside, (n, nq).
         leave: whether it is to come out.
+        fallen: a joint that has fallen; None if none has.
     """
 
     whole: Arm
@@ -52,10 +58,11 @@ class Locked(NamedTuple):
     limits: Limits
     way_in: Array
     leave: bool
+    fallen: Fallen | None = None
 
 
 class Fallback(NamedTuple):
-    """What an arm with locked joints can still do.
+    """What an arm with joints that fail can still do.
 
     Attributes:
         error: mean distance of its control points from the target where it comes closest [m]; None without a
@@ -81,24 +88,32 @@ def as_possible(arm: Arm, target: Target) -> Target:
 
 
 def find_fallback(locked: Locked) -> Fallback:
-    """Find what an arm with locked joints can still do; takes seconds."""
+    """Find what an arm with joints that fail can still do; takes seconds."""
     error = None
     arm = locked.arm
-    if locked.target is not None and not locked.leave:
+    fallen = locked.fallen
+    if locked.target is not None and not locked.leave and fallen is None:
         target = as_possible(arm, locked.target)
         # Where the target is out of reach, all of this time is taken.
         path = plan(arm.at(locked.q), target, locked.scene, locked.limits, budget=5.0)
         error = target.mean_distance(arm.chain_at(path.configuration(path.end)).points)
-    *others, last = locked.positions
-    held = {name: locked.positions[name] for name in others}
-    before = locked.whole.with_locked(held) if others else locked.whole
+    before = arm
+    torque = None
+    if fallen is None:
+        *others, joint = locked.positions
+        held = {name: locked.positions[name] for name in others}
+        before = locked.whole.with_locked(held) if others else locked.whole
+    else:
+        joint = fallen.joint
+        torque = fallen.torque
     rows = np.vstack([locked.way_in, locked.q])
     try:
         (way,) = can_retreat(
             before,
             rows,
             locked.scene,
-            last,
+            joint,
+            torque=torque,
             postures=[len(rows) - 1],
             limits=locked.limits,
             # In 50 draws of `benchmarks/studies/retreat.py` ways that were found took 17 s at most.
@@ -109,7 +124,7 @@ def find_fallback(locked: Locked) -> Fallback:
     if way.path is None:
         return Fallback(error, None, way.reason)
     timed = retime(way.path, locked.limits)
-    dt = cycle_of(locked.limits)
+    dt = cycle_of(locked.limits) * (1.0 if fallen is None else SLOWER)
     return Fallback(error, JointTrajectory.from_configurations(arm, timed.configurations, dt), "")
 
 

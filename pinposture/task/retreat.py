@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path_search import divide
 from pinposture.errors import InvalidValue, no_warnings
 from pinposture.placement import Target
-from pinposture.task.falling import Fall, fall_of
+from pinposture.task.falling import Fall, fall_of, require_falling
 from pinposture.units import CONVERGED, ROUNDING
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ def can_retreat(
     scene: Scene,
     failed: str | Sequence[str] | None = None,
     *,
-    torque: float | None = None,
+    torque: float | Mapping[str, float] | None = None,
     postures: Sequence[int] | None = None,
     out: ArrayLike | None = None,
     limits: Limits | None = None,
@@ -215,7 +215,7 @@ def can_retreat(
         failed: the joint that fails, by its name in `Arm.joint_names`; or several, of which one fails. None:
             any one of the joints of the chain.
         torque: None: the joint sticks. Else its drive gives at most this torque or force [N m or N]: it is
-            weak, or with 0, limp.
+            weak, or with 0, limp. One for all joints that may fail, or by their names; others then stick.
         postures: rows of q to come out of; None: all of them.
         out: where to come out: one configuration, (nq,), or several that will do, (n, nq). None: the first
             row of q.
@@ -249,10 +249,8 @@ def can_retreat(
         raise InvalidValue("out", None, "a configuration outside, as q is a single one")
     outside = rows[:1] if out is None else _configurations(arm, "out", out)
     columns = _columns(arm, failed)
-    if torque is not None:
-        torque = require_positive("torque", torque, zero=True)
-        _require_falling(arm, columns)
-    ways = _Ways(arm, rows, scene, outside, limits, budget, torque)
+    torques = _torques(arm, columns, torque)
+    ways = _Ways(arm, rows, scene, outside, limits, budget, torques)
     chosen = range(len(rows)) if postures is None else _rows(postures, len(rows))
     retreats: list[Retreat] = []
     for done, row in enumerate(chosen, start=1):
@@ -288,14 +286,24 @@ def _columns(arm: Arm, failed: str | Sequence[str] | None) -> list[int]:
     return [column for name, column in columns.items() if name in names]
 
 
-def _require_falling(arm: Arm, columns: Sequence[int]) -> None:
-    """Check that how joints fall is known: their weight, and that they move no other joint."""
-    arm.require_masses()
-    led = {coupling.leader for coupling in arm.couplings}
-    for column in columns:
-        name = arm.joint_names[column]
-        if name in led:
-            raise InvalidValue("failed", name, "a joint that no other follows, as it may fall")
+def _torques(
+    arm: Arm, columns: Sequence[int], torque: float | Mapping[str, float] | None
+) -> dict[int, float]:
+    """Return the checked torques that drives still give, by degree of freedom; other joints stick."""
+    if torque is None:
+        return {}
+    if isinstance(torque, Mapping):
+        names = tuple(arm.joint_names[column] for column in columns)
+        for name in torque:
+            require_known("joint that may fail", name, names)
+        torques = {
+            columns[names.index(name)]: require_positive(f"torque[{name!r}]", left, zero=True)
+            for name, left in torque.items()
+        }
+    else:
+        torques = dict.fromkeys(columns, require_positive("torque", torque, zero=True))
+    require_falling(arm, torques)
+    return torques
 
 
 def _rows(postures: Sequence[int], count: int) -> Sequence[int]:
@@ -348,7 +356,7 @@ class _Ways:
         outside: postures outside, (n, nq).
         limits: as for `can_retreat`.
         budget: likewise.
-        torque: likewise.
+        torques: what drives still give, by degree of freedom [N m or N]; other joints stick.
     """
 
     def __init__(
@@ -359,7 +367,7 @@ class _Ways:
         outside: Array,
         limits: Limits,
         budget: float,
-        torque: float | None,
+        torques: Mapping[int, float],
     ) -> None:
         self._arm = arm
         self._rows = rows
@@ -367,7 +375,7 @@ class _Ways:
         self._outside = outside
         self._limits = limits
         self._budget = budget
-        self._torque = torque
+        self._torques = torques
         self._model = CollisionModel(arm, scene)
         self._kept = _strides(arm, rows)
 
@@ -382,8 +390,9 @@ class _Ways:
             reason = f"at the posture, {describe_distance(begin.pair or (), begin.distance)}"
             return Retreat(row, name, position, None, reason)
         fall = Fall(position, position)
-        if self._torque is not None:
-            falls = fall_of(arm.chain_at(q), column, self._torque)
+        torque = self._torques.get(column)
+        if torque is not None:
+            falls = fall_of(arm.chain_at(q), column, torque)
             if falls is None:
                 return Retreat(row, name, position, None, f"{name} {UNKNOWN_FALL}")
             fall = falls
@@ -416,17 +425,18 @@ class _Ways:
         """
         arm = self._arm
         name = arm.joint_names[column]
-        if self._torque is None:
+        torque = self._torques.get(column)
+        if torque is None:
             locked = arm.with_locked({name: float(arm.positions(q)[column])})
             return _Way(locked, self._scene, self._limits, least, q)
         needed = abs(float(arm.chain_at(q).gravity_torques[column]))
-        if self._torque == 0.0 or needed > (1.0 + CONVERGED) * self._torque:  # an end stop holds it
-            return _HangingWay(arm, self._scene, self._limits, least, q, _Hanging(column, self._torque))
+        if torque == 0.0 or needed > (1.0 + CONVERGED) * torque:  # an end stop holds it
+            return _HangingWay(arm, self._scene, self._limits, least, q, _Hanging(column, torque))
         known = self._limits.for_arm(arm).effort
         effort = np.full(arm.nv, np.inf) if known is None else np.array(known)
-        effort[column] = min(effort[column], self._torque)
+        effort[column] = min(effort[column], torque)
         described = np.array(arm.effort)
-        described[column] = min(described[column], self._torque)
+        described[column] = min(described[column], torque)
         efforts = zip(arm.joint_names, described.tolist(), strict=True)
         weak = arm.with_effort({each: most for each, most in efforts if most < np.inf})
         return _Way(weak, self._scene, replace(self._limits, effort=effort), least, q)
@@ -594,7 +604,8 @@ class _HangingWay(_Way):
         self._column, self._torque = hanging
 
     def _without_joint(self, state: ChainState, q: Array) -> ChainState:
-        change = np.array(self._arm.difference(state.q, q))
+        limits = self._arm.limits
+        change = np.where(limits.upper > limits.lower, self._arm.difference(state.q, q), 0.0)
         change[self._column] = 0.0
         moved = state.moved(change)
         return self._hung(moved) or moved

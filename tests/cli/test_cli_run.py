@@ -114,11 +114,14 @@ def test_without_a_list_every_format_is_kept(command, task, tmp_path):
 @pytest.mark.long
 def test_a_check_tells_that_the_arm_comes_out_whichever_joint_sticks(command, task):
     data = json.loads(command("run", task, "--check", "--retreat", "1", "--json").out)
-    assert data["retreat"] == {"examined": 1, "first_blocked": None}
+    assert data["retreat"] == {"failure": "stuck", "examined": 1, "first_blocked": None}
 
 
 def test_a_check_names_the_first_posture_from_which_the_arm_cannot_come_out(command, task, monkeypatch):
-    def blocked(arm, q, scene, failed, *, postures, **_):
+    torques = []
+
+    def blocked(arm, q, scene, failed, *, torque, postures, **_):
+        torques.append(torque)
         assert failed == list(arm.joint_names) and postures == [len(q) // 2, len(q) - 1]
         free = pp.Retreat(postures[1], "a", 0.1, "a way", "")
         return pp.Retreats(
@@ -127,13 +130,26 @@ def test_a_check_names_the_first_posture_from_which_the_arm_cannot_come_out(comm
 
     monkeypatch.setattr("pinposture.task.can_retreat", blocked)
     told = command("run", task, "--check", "--retreat", "2").out
-    words = "not at 1 s if one of these sticks: b at 0.25; link to wall: overlapping by 1 mm"
+    words = "not at 1 s if one of these is stuck: b at 0.25; link to wall: overlapping by 1 mm"
     assert f"comes out  {words}" in told
+    told = command("run", task, "--check", "--retreat", "2", "--failure", "limp").out
+    assert "not at 1 s if one of these is limp: b at 0.25; " in told
+    told = command("run", task, "--check", "--retreat", "2", "--failure", "weak").out
+    assert "not at 1 s if one of these is weak: b at 0.25; " in told
+    arm = pp.Task.load(task).arm
+    loads = dict(zip(arm.joint_names, arm.outstretched_torques, strict=True))
+    assert torques == [
+        None,
+        dict.fromkeys(arm.joint_names, 0.0),
+        {name: 0.3 * load for name, load in loads.items()},
+    ]
     found = json.loads(command("run", task, "--check", "--retreat", "2", "--json").out)["retreat"]
     assert found["first_blocked"]["joints"] == {"b": 0.25}
-    for flags in (("--retreat", "1"), ("--check", "--retreat", "0")):
+    for flags in (("--retreat", "1"), ("--check", "--retreat", "0"), ("--check", "--failure", "limp")):
         refused = command("run", task, *flags)
         assert refused.code == 2 and "--retreat" in refused.err
+    refused = command("run", task, "--check", "--retreat", "1", "--failure", "hot")
+    assert refused.code == 2 and "no kind of failure is called 'hot'" in refused.err
 
 
 def test_the_next_run_says_what_is_there(command, task, tmp_path):

@@ -294,6 +294,40 @@ def test_an_arm_with_a_joint_that_falls_is_led_out_while_that_joint_lies_at_its_
     simulated.close()
 
 
+def test_a_joint_that_was_pushed_works_again_once_it_has_followed_its_command() -> None:
+    desk = Desk(*bent_arm())
+    operation = desk.operation
+    operation.goes_on = True
+    desk.run(0.2, lambda: desk.hold((0.0, 0.0, 1.0)))
+    begin = desk.q
+    desk.run(0.2, lambda: desk.hold((0.0, 0.0, 1.0)))
+    column = int(np.abs(desk.q - begin).argmax())
+    name = desk.arm.joint_names[column]
+    there = desk.q
+    desk.q = there.copy()
+    desk.q[column] += 0.5
+    desk.run(0.02, lambda: desk.hold((0.0, 0.0, 1.0)))
+    desk.run(0.02, lambda: desk.hold((0.0, 0.0, 1.0)))
+    assert operation.shown.stuck.startswith(f"{name} is astray at ")
+    desk.q = there
+    desk.run(0.04, lambda: desk.hold((0.0, 0.0, 1.0)))
+    words = (
+        f"{name} was astray, and has not followed its command since; if it has fallen, look for the way out"
+    )
+    assert operation.shown.stuck == words
+    moved = 0.0
+    while moved < 0.1:
+        assert operation.shown.stuck == words
+        desk.run(0.02, lambda: desk.hold((0.0, 0.0, 1.0)))
+        moved = abs(desk.q[column] - there[column])
+        assert operation.shown.mode == "runs", operation.shown
+    desk.run(0.1, lambda: desk.hold((0.0, 0.0, 1.0)))
+    assert operation.shown.stuck == ""
+    desk.tell(do="out")
+    desk.run(0.1, lambda: desk.tell(do="release"))
+    assert operation.shown.planned.text == "no joint fails"
+
+
 def test_no_way_out_is_looked_for_while_all_joints_work() -> None:
     desk = Desk(*bent_arm())
     desk.operation.goes_on = True

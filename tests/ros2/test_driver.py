@@ -428,27 +428,43 @@ def test_an_operator_leads_the_arm_and_nothing_else_does(graph: Any, driver: Dri
     assert graph.run(lambda: robot.at(posture(arm, 0.0))), driver.reason
 
 
-def test_a_joint_that_fell_before_it_stood_is_not_locked(driver: Driver) -> None:
+def test_a_joint_that_fell_before_it_stood_is_not_locked_but_has_fallen(
+    graph: Any, driver: Driver, robot: Robot
+) -> None:
     from rclpy.parameter import Parameter
 
-    first, second = driver.arm.joint_names[:2]
+    assert graph.run(lambda: driver.measured is not None and driver.tracker.at_rest)
+    first, second, third = driver.arm.joint_names[:3]
     stands = JointFailure(first, "stuck", 0.3, 9.0)
     before = driver.tracker.report
     patient = driver.settings
     driver.settings = replace(patient, lock_after=1.0)
-    for failure in (stands._replace(kind="astray"), stands):
+
+    def report(failure: JointFailure) -> None:
         driver.tracker.report = before._replace(failures=(failure,))
-        driver._lock_stuck()
-        assert driver._to_lock is None
-    driver.tracker.report = before._replace(failures=(stands._replace(joint=second),))
-    driver._lock_stuck()
+        driver._attend_failures(driver.measured)
+
+    report(stands._replace(kind="astray"))
+    assert driver._falling == ""
+    report(stands)
+    assert driver._falling == first and driver._to_lock is None
+    report(stands._replace(joint=third, kind="limp"))  # one at a time
+    assert driver._falling == first
+    report(stands._replace(joint=second))
     assert driver._to_lock == (second,)
-    assert driver._node.set_parameters([Parameter("locked", value="")])[0].successful
+    for name in ("locked", "fallen"):
+        assert driver._node.set_parameters([Parameter(name, value="")])[0].successful
     driver._to_lock = None
+    report(stands._replace(joint=third, kind="weak", duration=0.1))
+    assert driver._falling == ""
+    report(stands._replace(joint=third, kind="weak"))
+    assert driver._falling == third
+    assert driver._node.set_parameters([Parameter("fallen", value="")])[0].successful
     driver.settings = patient
     driver.tracker.report = before
-    driver._fallen = set()
+    driver._watched.astray.clear()
     driver._stuck = set()
+    graph.run_for(0.1)
 
 
 def test_an_operator_leads_the_arm_out_with_the_joint_that_sticks(

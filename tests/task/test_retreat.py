@@ -293,8 +293,25 @@ def test_what_falls_into_something_or_nobody_knows_where_has_no_way_out() -> Non
     assert pp.can_retreat(heavy(), rows, below, names[1], torque=0.1, postures=[0])  # that holds it
 
 
+def test_each_drive_may_have_its_own_torque_left_and_joints_without_one_stick() -> None:
+    rows = bent(2)
+    first, second, third = heavy().joint_names[0], heavy().joint_names[2], heavy().joint_names[4]
+    torques = {first: 0.0, third: 0.3 * float(heavy().outstretched_torques[4])}
+    together = pp.can_retreat(heavy(), rows, BALL, [first, second, third], torque=torques, postures=[19]).ways
+    for way, torque in zip(together, (torques[first], None, torques[third]), strict=True):
+        (alone,) = pp.can_retreat(heavy(), rows, BALL, way.joint, torque=torque, postures=[19]).ways
+        assert way.position == alone.position
+        np.testing.assert_array_equal(way.path.configurations, alone.path.configurations)
+    assert together[0].position == pytest.approx(0.8)  # it fell
+    assert together[1].position == rows[19, 2]  # it stuck
+
+
 def test_torques_of_joints_that_fail_are_checked() -> None:
     rows = bent(1)
+    with pytest.raises(InvalidValue, match=r"torque\['m01_j1_y'\]"):
+        pp.can_retreat(heavy(), rows, BALL, torque={"m01_j1_y": -0.1})
+    with pytest.raises(UnknownName, match="no joint that may fail is called 'm02_j1_y'"):
+        pp.can_retreat(heavy(), rows, BALL, "m01_j1_y", torque={"m02_j1_y": 0.1})
     with pytest.raises(InvalidValue, match="torque"):
         pp.can_retreat(heavy(), rows, BALL, torque=-0.1)
     follows = pp.JointSpec("z", follows=0)
