@@ -73,8 +73,9 @@ def _check_size(path: Path, key_path: KeyPath, value: Any) -> None:
     if len(key_path) > MAX_NESTING:
         reason = f"is nested too deep; allowed: {MAX_NESTING} levels of tables and lists"
         raise FileError(path, f"{key_path_in_words(key_path)}: {reason}")
-    if isinstance(value, int) and value.bit_length() > 64:  # as in TOML
-        reason = "is a whole number of more than 64 bits"
+    most = 64  # as in TOML
+    if isinstance(value, int) and value.bit_length() > most:
+        reason = f"is a whole number of more than {most} bits"
         raise FileError(path, f"{key_path_in_words(key_path)}: {reason}")
     if isinstance(value, Mapping | list):
         items = value.items() if isinstance(value, Mapping) else enumerate(value)

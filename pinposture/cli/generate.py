@@ -58,8 +58,9 @@ def run(
     if template is None:
         raise InvalidValue("TEMPLATE", template, "a kind of module; pinposture generate --list shows them")
     module = template_named(template)
-    if modules is None or not 1 <= modules <= 10_000:
-        raise InvalidValue("--modules", modules, "a whole number from 1 to 10000")
+    most = 10_000
+    if modules is None or not 1 <= modules <= most:
+        raise InvalidValue("--modules", modules, f"a whole number from 1 to {most}")
     if link_lengths is not None:
         module = module.with_lengths(read_numbers("--link-lengths", link_lengths))
     chain = [module] * modules

@@ -515,8 +515,9 @@ class JointTrajectory:
         turns = np.where(arm.kinematics.endless, np.rint((checked - first) / FULL_TURN), 0.0)
         off = np.where(arm.kinematics.endless, np.abs(checked - first - FULL_TURN * turns), 0.0)
         joint = int(off.argmax())
-        if off[joint] > 0.5:  # controllers do not accept a start that is farther away [rad]
-            allowed = f"{first[joint]:.4g} rad to within 0.5 rad, plus full turns: move there first"
+        most = 0.5  # [rad]; controllers do not accept a start that is farther away
+        if off[joint] > most:
+            allowed = f"{first[joint]:.4g} rad to within {most:g} rad, plus full turns: move there first"
             raise InvalidValue(f"positions[{joint}]", float(checked[joint]), allowed)
         return replace(matched, positions=matched.positions + FULL_TURN * turns).driven(arm)
 

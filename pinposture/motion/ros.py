@@ -400,8 +400,9 @@ class _LinkTree:
     """
 
     def __init__(self, arm: Arm, trajectory: JointTrajectory) -> None:
-        if arm.nv > 200:  # a `pin.Data` then takes 370 MB
-            raise InvalidValue("degrees of freedom", arm.nv, "at most 200; or arm=None, without links")
+        most = 200  # a `pin.Data` then takes 370 MB
+        if arm.nv > most:
+            raise InvalidValue("degrees of freedom", arm.nv, f"at most {most}; or arm=None, without links")
         self._model = arm.model
         self._data = arm.model.createData()
         self._configurations = trajectory.configurations(arm)

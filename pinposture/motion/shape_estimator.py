@@ -697,10 +697,11 @@ def _complete(read: Array) -> NDArray[np.intp]:
 
 def _bounded(name: str, value: float, zero: bool = False) -> float:
     """Return a number whose square is neither zero nor huge, or zero where that is allowed."""
-    words = f"{'0, or ' if zero else ''}{SMALLEST_NOISE:g} to 1e+06"
+    largest = 1e6
+    words = f"{'0, or ' if zero else ''}{SMALLEST_NOISE:g} to {largest:g}"
     return as_number(
         name,
         value,
         words,
-        lambda number: SMALLEST_NOISE <= number <= 1e6 or (zero and number == 0.0),
+        lambda number: SMALLEST_NOISE <= number <= largest or (zero and number == 0.0),
     )

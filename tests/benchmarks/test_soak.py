@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gc
 import itertools
 import sys
@@ -38,6 +39,7 @@ def test_a_loop_keeps_nothing_of_the_cycles_before(
     count = {"tip": 20}.get(scenario, 60)
     objects: list[int] = []
     blocks: list[int] = []
+    kilobytes: list[float] = []
     cycles = itertools.count()
     for part in (first, count, count, count):
         for cycle in itertools.islice(cycles, part):
@@ -45,11 +47,35 @@ def test_a_loop_keeps_nothing_of_the_cycles_before(
         gc.collect()
         objects.append(len(gc.get_objects()))
         blocks.append(sys.getallocatedblocks())
+        kilobytes.append(allocated() / 1024)
     # Plans and scans come and go: a plan has 300 objects.
     assert min(objects[2:]) < max(objects[:2]) + 300 + count
     # Up to 320 blocks of memory were counted, as joints fail and loops start again. Numbers and arrays are no
     # objects of the collector.
     assert min(blocks[2:]) < max(blocks[:2]) + 500 + 2 * count
+    assert min(kilobytes[2:]) < max(kilobytes[:2]) + 100  # up to 4 were counted
+
+
+class MallocInfo(ctypes.Structure):
+    """What `mallinfo2` of the GNU C library tells; `uordblks` and `hblkhd` are bytes in use."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in (
+            *("arena", "ordblks", "smblks", "hblks", "hblkhd"),
+            *("usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"),
+        )
+    )
+
+
+def allocated() -> int:
+    """Bytes in use beside Python's small blocks, of arrays above all; 0 with other C libraries."""
+    tell = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if tell is None:
+        return 0
+    tell.restype = MallocInfo
+    told = tell()
+    return int(told.uordblks + told.hblkhd)
 
 
 @pytest.mark.soak
