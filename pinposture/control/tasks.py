@@ -142,16 +142,26 @@ def orientation_rows(state: ArmState, point: int, target: Array) -> tuple[Array,
     """
     known = link_axes(state.arm)
     jacobian = state.angular_jacobians[point]
+    error, share = _remaining_rotation(state, point, target)
     if known.turns[point] == 0:
-        return jacobian[:0], np.zeros(0)
+        return jacobian[:0], error
+    if known.turns[point] == 1:
+        return share * (known.axes[point] @ jacobian)[None], error
+    return _logarithm_derivative(error) @ jacobian, error
+
+
+def _remaining_rotation(state: ArmState, point: int, target: Array) -> tuple[Array, float]:
+    """Return the error of `orientation_rows`, and by how much it is scaled."""
+    known = link_axes(state.arm)
+    if known.turns[point] == 0:
+        return np.zeros(0), 1.0
     x, y, z, w = pin.Quaternion(target @ state.rotations[point].T).coeffs()
     if known.turns[point] == 1:
-        axis = known.axes[point]
-        half = np.array([axis @ (x, y, z), w]) * np.copysign(1.0, w)  # both signs are the same rotation
-        share = np.linalg.norm(half)
-        return share * (axis @ jacobian)[None], share * _wrap(2.0 * np.arctan2(half[:1], half[1:]))
-    error = _rotation_vector(np.array([x, y, z]), float(w))
-    return _logarithm_derivative(error) @ jacobian, error
+        half = np.array([known.axes[point] @ (x, y, z), w])
+        half *= np.copysign(1.0, w)  # both signs are the same rotation
+        share = float(np.linalg.norm(half))
+        return share * _wrap(2.0 * np.arctan2(half[:1], half[1:])), share
+    return _rotation_vector(np.array([x, y, z]), float(w)), 1.0
 
 
 def direction_rows(state: ArmState, points: Indices, target: Array) -> tuple[Array, Array]:
@@ -332,6 +342,16 @@ def rows_of(task: ControlTask, state: ArmState, target: Target) -> TaskRows:
         raise InvalidValue(f"{name}.rows(...)", rows, "TaskRows(jacobian, error), (r, nv) and (r,)")
     jacobian = finite_array(f"{name}.rows(...), jacobian", rows[0], (None, state.arm.nv))
     return TaskRows(jacobian, finite_array(f"{name}.rows(...), error", rows[1], (len(jacobian),)))
+
+
+def errors_of(task: ControlTask, state: ArmState, target: Target) -> Array:
+    """Return the errors of `rows_of` alone, (r,) [m], which takes less time for poses than the rows."""
+    if type(task).__module__.startswith(OWN):
+        if isinstance(task, Displaced):
+            return errors_of(task.task, state.moved(task.offset).chain_state, target)
+        if isinstance(task, EndEffector):
+            return task.errors(state)
+    return rows_of(task, state, target).error
 
 
 @dataclass(frozen=True, eq=False)
@@ -522,9 +542,8 @@ class EndEffector(ComparableTask, Declared):
         """Return the rows of the position, then those of the orientation; see `ControlTask.rows`."""
         arm = arm_of(state)
         k = _index(state.arm, self.point)
-        position = self.position if self.pose is None else self.pose[:3, 3]
         jacobian = arm.plane @ state.jacobians[k]
-        apart = arm.plane @ (position - state.points[k])
+        apart = self._apart(state, k)
         if self.pose is None:
             return TaskRows(jacobian, apart)
         rotation = self.pose[:3, :3]
@@ -535,6 +554,22 @@ class EndEffector(ComparableTask, Declared):
             turns, angles = orientation_rows(state, k, rotation)
         arc = lever(arm, self.length)
         return TaskRows(np.vstack([jacobian, arc * turns]), np.concatenate([apart, arc * angles]))
+
+    def errors(self, state: ArmState) -> Array:
+        """Return the errors of the rows alone, (r,) [m]."""
+        if self.direction_only:
+            return self.rows(state, cast(Target, None)).error  # which does not depend on the target
+        k = _index(state.arm, self.point)
+        apart = self._apart(state, k)
+        if self.pose is None:
+            return apart
+        angles, _ = _remaining_rotation(state, k, self.pose[:3, :3])
+        return np.concatenate([apart, lever(state.arm, self.length) * angles])
+
+    def _apart(self, state: ArmState, k: int) -> Array:
+        """Return the error of the position of a control point, (dimension,) [m]."""
+        position = self.position if self.pose is None else self.pose[:3, 3]
+        return np.asarray(state.arm.plane @ (position - state.points[k]))
 
 
 def _index(arm: Arm, point: int | str) -> int:

@@ -130,6 +130,14 @@ class StepConstraints(NamedTuple):
         retreating = may_retreat and rows is not None and bool(np.any(rows.least > least))
         return cls(state, lower, upper, rows, retreating)
 
+    def equals(self, other: StepConstraints) -> bool:
+        """Whether others are the same, at the same positions."""
+        if (self.rows is None) != (other.rows is None):
+            return False
+        mine = [self.state.raw_positions, self.lower, self.upper, *(self.rows or ())]
+        others = [other.state.raw_positions, other.lower, other.upper, *(other.rows or ())]
+        return all(map(np.array_equal, mine, others))
+
     def admit(self, x: Array) -> bool:
         """Whether a step within the limits, (n,), satisfies the further constraints."""
         return self.rows is None or bool(np.all(self.rows.matrix @ x >= self.rows.least))
@@ -303,8 +311,8 @@ def correct_curvature(
     left = np.inf
     best = x
     for _ in range(DESCENT.curvature_corrections):
-        after = objective.task_rows(objective.state_after(constraints.state, x), priority=True)
-        missed = planned if after is None else after.errors - planned
+        after = objective.errors_of_tasks(objective.state_after(constraints.state, x), priority=True)
+        missed = planned if after is None else after - planned
         error = float(np.linalg.norm(missed))
         if error >= left:
             break

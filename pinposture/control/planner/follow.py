@@ -39,7 +39,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH, JointPath, TimedPath, timed_again
-from pinposture.control.tasks import Displaced, rows_of
+from pinposture.control.tasks import Displaced, errors_of
 from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL_TURN, NextSteps, PathMotion, PathTolerances, PointGoals, StepArrays
@@ -128,6 +128,24 @@ class StepsAhead(NamedTuple):
     stopping: Array | None = None
 
 
+class DeadEnd(NamedTuple):
+    """A state at the end of a path from which no step reduces the errors.
+
+    Attributes:
+        objective: the objective.
+        cost: half the sum of squares that remains [m^2].
+        constraints: those of the step that was sought.
+        solution: the last one that was tried; None if there is nothing to reduce.
+        reason: why the arm does not move; empty if it has to.
+    """
+
+    objective: Objective
+    cost: float
+    constraints: StepConstraints
+    solution: Solution | None
+    reason: str
+
+
 class PathProgress(NamedTuple):
     """A path, and the position of the arm on it.
 
@@ -145,6 +163,7 @@ class PathProgress(NamedTuple):
         timed_bend: displacement of the end when the path was timed; None: none.
         ahead: the next steps, if already computed.
         taken: number of those steps that have been taken.
+        dead_end: where the last search for a step at the end of the path found none; None: it found one.
     """
 
     timed: TimedPath
@@ -160,6 +179,7 @@ class PathProgress(NamedTuple):
     timed_bend: Array | None = None
     ahead: StepsAhead | None = None
     taken: int = 0
+    dead_end: DeadEnd | None = None
 
     @property
     def path(self) -> JointPath:
@@ -844,8 +864,8 @@ def _bend_to_tasks(
     planned: Array | None = None
     if tasks is not None:
         planned = _planned_errors(progress, progress.s, len(tasks.errors))
-        reached = cast(LinearRows, objective.task_rows(objective.state_after(state, along), priority=True))
-        motion = tasks.matrix @ along + reached.errors - planned  # none but `along` if that leads there
+        reached = objective.errors_of_tasks(objective.state_after(state, along), priority=True)
+        motion = tasks.matrix @ along + cast(Array, reached) - planned  # none but `along` if that leads there
         first = solve_priority(objective, constraints, tasks, motion, along)
     solution = solve_remaining(hessian, -(hessian @ along), constraints, first)
     if solution.x is None:
@@ -885,8 +905,7 @@ def _planned_errors(progress: PathProgress, s: float, count: int) -> Array:
     straight = (1.0 - share) * before + share * after
     arm = path.arm
     state = arm.chain_at(arm.integrate(path.start, path.smooth_offset(s)))
-    rows = cast(LinearRows, progress.objective.task_rows(state, priority=True))
-    off = rows.errors - straight
+    off = cast(Array, progress.objective.errors_of_tasks(state, priority=True)) - straight
     most = FOLLOWING.task_deviation * float(np.linalg.norm(after - before))
     return straight + off * min(1.0, most / max(float(np.linalg.norm(off)), 1e-300))
 
@@ -1006,7 +1025,11 @@ def _admitted(progress: PathProgress, s: float, tasks: LinearRows, motion: Array
 
 
 def reduce_remaining(progress: PathProgress, constraints: StepConstraints) -> CandidateStep:
-    """Return the step that reduces the remaining errors at the end of the path, damped until it does."""
+    """Return the step that reduces the remaining errors at the end of the path, damped until it does.
+
+    Where none did in the last cycle, none is sought again as long as nothing changes: an arm at rest would
+    spend most of each cycle on that.
+    """
     objective = progress.objective
     damping = progress.damping
     solution = None
@@ -1016,6 +1039,15 @@ def reduce_remaining(progress: PathProgress, constraints: StepConstraints) -> Ca
         solution = reduce_errors(objective, constraints, damping)
         if solution.x is not None:
             return CandidateStep(objective.displacement(solution.x), progress, solution)
+    known = progress.dead_end
+    rest = np.clip(np.zeros(len(constraints.lower)), constraints.lower, constraints.upper)  # it may brake
+    if (
+        known is not None
+        and known.objective is objective
+        and known.cost == cost
+        and known.constraints.equals(constraints)
+    ):
+        return CandidateStep(objective.displacement(rest), progress, known.solution, known.reason)
     for _ in range(
         FOLLOWING.attempts if cost > (FOLLOWING.negligible_error * objective.arm.length) ** 2 else 0
     ):
@@ -1026,24 +1058,20 @@ def reduce_remaining(progress: PathProgress, constraints: StepConstraints) -> Ca
             and objective.cost(objective.state_after(state, x)) < (1.0 - POSTURE_SEARCH.converged) * cost
         ):
             less_damped = progress._replace(
-                damping=max(damping * POSTURE_SEARCH.decrease, POSTURE_SEARCH.least_factor)
+                damping=max(damping * POSTURE_SEARCH.decrease, POSTURE_SEARCH.least_factor), dead_end=None
             )
             return CandidateStep(objective.displacement(x), less_damped, solution)
         damping *= POSTURE_SEARCH.increase
-    rest = np.clip(
-        np.zeros(len(constraints.lower)), constraints.lower, constraints.upper
-    )  # the arm may have to brake
-    reason = ""
-    if not np.any(rest):
-        reason = _describe_end(objective, state)
-    return CandidateStep(objective.displacement(rest), progress, solution, reason)
+    reason = "" if np.any(rest) else _describe_end(objective, state)
+    stuck = progress._replace(dead_end=DeadEnd(objective, cost, constraints, solution, reason))
+    return CandidateStep(objective.displacement(rest), stuck, solution, reason)
 
 
 def _describe_end(objective: Objective, state: ChainState) -> str:
     """Say that an arm gets no closer, name the tasks that are not met, and whether the posture is missed."""
     left = []
     for task in objective.tasks:
-        error = float(np.linalg.norm(rows_of(task, state, objective.target).error))
+        error = float(np.linalg.norm(errors_of(task, state, objective.target)))
         kind = type(task.task if isinstance(task, Displaced) else task)
         left.append(f"{kind.__name__} by {length_text(error)}")
     words = f"; remaining errors of tasks: {', '.join(left)}" if left else ""

@@ -125,16 +125,16 @@ def find_goal(
 
 def _is_good_enough(objective: Objective, result: LeastSquaresResult, good: float) -> bool:
     """Whether a result takes the target posture and fulfils the tasks with priority."""
-    tasks = objective.task_rows(result.state, priority=True)
-    fulfilled = tasks is None or float(np.linalg.norm(tasks.errors)) <= good
+    errors = objective.errors_of_tasks(result.state, priority=True)
+    fulfilled = errors is None or float(np.linalg.norm(errors)) <= good
     return fulfilled and result.mean_error <= good
 
 
 def _is_held(objective: Objective, state: ChainState) -> bool:
     """Whether tasks with priority hold the arm: their errors are within a module length."""
-    tasks = objective.task_rows(state, priority=True)
+    errors = objective.errors_of_tasks(state, priority=True)
     typical = objective.arm.length / objective.arm.n_modules
-    return tasks is not None and float(np.linalg.norm(tasks.errors)) <= typical
+    return errors is not None and float(np.linalg.norm(errors)) <= typical
 
 
 def _starts(problem: PlanningProblem, held: bool, before: ChainState | None) -> Iterator[ChainState]:

@@ -17,7 +17,7 @@ from pinposture.arm import Arm, ChainState
 from pinposture.arm.arm import kept
 from pinposture.control.constraint import Constraint, check_constraints
 from pinposture.control.controller import task_errors
-from pinposture.control.tasks import ControlTask, rows_of
+from pinposture.control.tasks import ControlTask, errors_of, rows_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import PointObjective
 from pinposture.placement import Target
@@ -237,6 +237,15 @@ class Objective:
                 errors.append(root * rows.error)
         return LinearRows(np.concatenate(matrices), np.concatenate(errors)) if matrices else None
 
+    def errors_of_tasks(self, state: ChainState, priority: bool) -> Array | None:
+        """Return the errors of `task_rows` alone, (r,) [m]; None if there are no such tasks."""
+        errors = [
+            float(np.sqrt(task.weight)) * errors_of(task, state, self.target)
+            for task in self.tasks
+            if task.priority == priority
+        ]
+        return np.concatenate(errors) if errors else None
+
     def point_errors(self, state: ChainState) -> tuple[Array, float]:
         """Return the errors of the control points that have a target, (p, 3) [m], and their sum of squares.
 
@@ -253,9 +262,9 @@ class Objective:
         """Return half the sum of all squares [m^2], tasks with priority times `OBJECTIVE.priority_weight`."""
         total = self.point_errors(state)[1]
         for priority in (False, True):
-            rows = self.task_rows(state, priority)
-            if rows is not None:
-                total += (OBJECTIVE.priority_weight if priority else 1.0) * float(rows.errors @ rows.errors)
+            errors = self.errors_of_tasks(state, priority)
+            if errors is not None:
+                total += (OBJECTIVE.priority_weight if priority else 1.0) * float(errors @ errors)
         return 0.5 * total
 
     def mean_error(self, state: ChainState) -> float:

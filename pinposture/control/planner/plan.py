@@ -251,18 +251,17 @@ def _task_errors(
             errors planned for that position change by as much as other tasks change those of the arm.
         s: that position, in waypoints.
     """
-    now, last = (objective.task_rows(at, priority=True) for at in (state, goal))
-    if now is None or last is None:
+    here, last = (objective.errors_of_tasks(at, priority=True) for at in (state, goal))
+    if here is None or last is None:
         return np.zeros(0), np.zeros(0)
     if former is None:
-        return now.errors, last.errors
-    here = now.errors
+        return here, last
     share = s / former.end
-    before = former.objective.task_rows(state, priority=True)
-    if before is not None and len(former.task_errors[0]) == len(here) == len(before.errors):
+    before = former.objective.errors_of_tasks(state, priority=True)
+    if before is not None and len(former.task_errors[0]) == len(here) == len(before):
         first, end = former.task_errors
-        here = (1.0 - share) * first + share * end + here - before.errors
-    return here if share >= 1.0 else (here - share * last.errors) / (1.0 - share), last.errors
+        here = (1.0 - share) * first + share * end + here - before
+    return here if share >= 1.0 else (here - share * last) / (1.0 - share), last
 
 
 def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> JointPath | None:
@@ -554,7 +553,7 @@ def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> Row
     if not objective.tasks:
         return None
     kinds = [(PLAN.task_root, False), (PLAN.task_root * float(np.sqrt(OBJECTIVE.priority_weight)), True)]
-    ends = [[objective.task_rows(at, priority) for at in (state, goal)] for _, priority in kinds]
+    ends = [[objective.errors_of_tasks(at, priority) for at in (state, goal)] for _, priority in kinds]
 
     def rows(at: ChainState, share: float) -> LinearRows:
         parts = []
@@ -563,7 +562,7 @@ def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> Row
             if tasks is None or first is None or last is None:
                 continue
             # Errors should change linearly from the start to the goal.
-            left = tasks.errors - (1.0 - share) * first.errors - share * last.errors
+            left = tasks.errors - (1.0 - share) * first - share * last
             parts.append(LinearRows(root * tasks.matrix, root * left))
         matrices, errors = zip(*parts, strict=True)
         return LinearRows(np.concatenate(matrices), np.concatenate(errors))

@@ -1,0 +1,161 @@
+"""What a tracker computes while its arm rests: no plans, and no search for a step that it made before."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from arms import template_arm
+
+import pinposture as pp
+from pinposture.control.planner import follow, geodesic, plan
+from pinposture.control.tasks import ControlTask, Displaced, TaskRows, errors_of, rows_of
+from pinposture.motion import Tracker
+from pinposture.placement import Target
+
+LIMITS = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0)
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How often the planner was asked for a goal or a path, and for a step at the end of a path."""
+    made: Counter[str] = Counter()
+
+    def counted(kind: str, function: Callable) -> Callable:
+        def call(*arguments: object, **named: object) -> object:
+            made[kind] += 1
+            return function(*arguments, **named)
+
+        return call
+
+    for module, name in ((geodesic, "find_path"), (geodesic, "replan"), (plan, "find_path")):
+        monkeypatch.setattr(module, name, counted("plans", getattr(module, name)))
+    monkeypatch.setattr(follow, "reduce_errors", counted("steps", follow.reduce_errors))
+    return made
+
+
+def missed(arm: pp.Arm) -> Target:
+    """Points that the arm cannot take."""
+    rng = np.random.default_rng(2)
+    points = arm.at(rng.uniform(-0.4, 0.4, arm.nv)).points
+    return Target.from_points(arm, points + 0.02 * rng.normal(size=points.shape))
+
+
+def go(tracker: Tracker, q: np.ndarray, cycles: int, sag: np.ndarray | float, noise: float) -> np.ndarray:
+    """Move an arm whose drives lag and sag, measured with noise, from q; return where it is then."""
+    rng = np.random.default_rng(7)
+    for _ in range(cycles):
+        tracker.step(q + noise * rng.normal(size=len(q)))
+        q = q + 0.2 * (tracker.command + sag - q)
+    return q
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [0.0])
+@pytest.mark.parametrize("tasks", [(), (pp.EndEffector(position=(0.2, 0.1, 0.1)),)])
+def test_an_arm_that_cannot_take_its_target_comes_to_rest(
+    arm: pp.Arm, calls: Counter[str], tasks: tuple[ControlTask, ...], noise: float
+) -> None:
+    tracker = Tracker(arm, pp.Geodesic(tasks=tasks), LIMITS)
+    tracker.update(missed(arm))
+    sag = 0.03 * np.random.default_rng(0).normal(size=arm.nv)
+    q = go(tracker, np.zeros(arm.nv), 1000, sag, noise)
+    calls.clear()
+    sent = tracker.command
+    go(tracker, q, 300, sag, noise)
+    assert np.abs(tracker.command - sent).max() < 1e-5 and tracker.report.status == "stalled"
+    assert calls["plans"] <= 10 and calls["steps"] <= 80
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_an_arm_that_holds_its_tip_rests(arm: pp.Arm, calls: Counter[str], noise: float) -> None:
+    goal = np.random.default_rng(2).uniform(-0.4, 0.4, arm.nv)
+    held = pp.EndEffector.held(arm.at(goal), priority=True)
+    tracker = Tracker(arm, pp.Geodesic(tasks=(held,)), LIMITS)
+    tracker.update(Target.from_configuration(arm, goal + 1e-9))
+    go(tracker, goal, 200, 0.0, noise)
+    calls.clear()
+    sent = tracker.command
+    go(tracker, goal, 60, 0.0, noise)
+    np.testing.assert_array_equal(tracker.command, sent)
+    assert tracker.report.status == "converged"
+    assert calls["plans"] == 0 and calls["steps"] <= 8
+
+
+@dataclass(eq=False)
+class Pointer:
+    """Moves the tip to a place that can be changed, as a task of a user."""
+
+    place: np.ndarray = field(default_factory=lambda: np.array([0.3, 0.0, 0.0]))
+    weight: float = 1.0
+    priority: bool = False
+
+    def rows(self, state: pp.ArmState, target: Target) -> TaskRows:
+        return TaskRows(state.jacobians[-1], self.place - state.points[-1])
+
+
+def test_an_arm_that_rests_goes_on_when_anything_changes(arm: pp.Arm) -> None:
+    task = Pointer()
+    ball = pp.Scene({"ball": pp.Sphere((0.0, 0.0, -9.0), 0.05)}, margin=0.01, arm_radius=0.01)
+    controller = pp.Geodesic(tasks=(task,), scene=ball)
+    target = Target.from_configuration(arm, np.full(arm.nv, 0.2))
+    state = arm.at(np.full(arm.nv, 0.1))
+    memory = None
+
+    def moves(**changed: object) -> bool:
+        nonlocal state, memory
+        options = {"limits": LIMITS, "target": target, "controller": controller, **changed}
+        step = options["controller"].step(state, options["target"], options["limits"], memory)
+        state = state.moved(step.dq)
+        memory = step.memory
+        return bool(np.any(step.dq))
+
+    def rest(**changed: object) -> None:
+        assert moves(**changed)
+        for _ in range(300):
+            if not (moves(**changed) or moves(**changed)):
+                break
+        assert not moves(**changed)
+
+    rest()
+    task.place = task.place + 0.01
+    rest()
+    rest(target=Target.from_configuration(arm, np.full(arm.nv, 0.21)))
+    rest()
+    rest(limits=pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0, position_margin=3.0))
+    near = pp.Sphere(state.points[-1] + [0.0, 0.0, 0.065], 0.05)
+    rest(controller=controller.with_scene(pp.Scene({"ball": near}, margin=0.01, arm_radius=0.01)))
+
+
+@pytest.mark.parametrize("template", ["RyRz", "Rz"])
+def test_errors_of_tasks_are_those_of_their_rows(template: str) -> None:
+    arm = template_arm(template, 4)
+    rng = np.random.default_rng(0)
+    state, wanted = (arm.at(rng.uniform(-1.0, 1.0, arm.nv)).chain_state for _ in range(2))
+    target = Target.from_configuration(arm, wanted.q)
+
+    class Turned(pp.EndEffector):
+        def rows(self, state: pp.ArmState, target: Target) -> TaskRows:
+            return TaskRows(state.jacobians[-1], 2.0 * state.points[-1])
+
+    tasks: list[ControlTask] = [
+        pp.EndEffector.held(wanted, "position"),
+        pp.EndEffector.held(wanted, length=0.3),
+        pp.EndEffector.held(wanted, point=1, direction_only=True),
+        pp.JointPosture(wanted.q),
+        pp.Tangents(rng.normal(size=3), points=2),
+        Pointer(),
+        Turned.held(wanted),
+    ]
+    tasks += [Displaced(task, rng.normal(0.0, 0.1, arm.nv)) for task in tasks]
+    for task in tasks:
+        np.testing.assert_array_equal(errors_of(task, state, target), rows_of(task, state, target).error)
