@@ -314,18 +314,18 @@ class ControllerError(PostureError):
 
 
 class ReachError(PostureError):
-    """A goal of the tip for which no clear posture was found.
+    """A goal of the tip, or of control points, for which no clear posture was found.
 
     Attributes:
-        position: the goal, three coordinates [m], world frame.
+        position: the goal, three coordinates [m], world frame; of several, the last.
         reason: why, and how close the search came.
     """
 
-    def __init__(self, position: Iterable[float], reason: str) -> None:
+    def __init__(self, position: Iterable[float], reason: str, who: str = "the tip") -> None:
         self.position = tuple(float(number) for number in position)
         self.reason = reason
         listed = ", ".join(f"{number:.4g}" for number in self.position)
-        super().__init__(f"the tip cannot reach ({listed}) m: {reason}")
+        super().__init__(f"{who} cannot reach ({listed}) m: {reason}")
 
 
 class OutOfReach(ReachError):

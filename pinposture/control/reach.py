@@ -1,4 +1,4 @@
-"""Inverse kinematics of the tip: clear postures with the tip at a goal, and the paths to them."""
+"""Inverse kinematics: clear postures with the tip, or some control points, at a goal, and paths to them."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from pinposture._validation import (
     require_whole,
 )
 from pinposture._validation import direction as unit_vector
-from pinposture.arm import Arm, ChainState, JointLoad, smooth_configuration
+from pinposture.arm import Arm, ArmState, ChainState, JointLoad, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
 from pinposture.control.planner.damped_least_squares import POSTURE_SEARCH, damped_hessian
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
-from pinposture.control.tasks import EndEffector, link_axes
+from pinposture.control.tasks import ComparableTask, EndEffector, TaskRows, link_axes
 from pinposture.control.torque_limits import TorqueLimits
 from pinposture.descent import Rating, descend
 from pinposture.errors import InvalidValue, OutOfReach, ReachError, gather, raise_together
@@ -92,14 +92,14 @@ SEARCH = PostureSearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class ReachedPosture:
-    """A clear posture with the tip at its goal.
+    """A clear posture with the tip, or the control points of a target, at the goal.
 
     Attributes:
         q: the configuration, (nq,) [rad or m], at the end of the path if there is one.
         target: the posture as a target, for `plan` and `track`.
         path: the path to it from the start; None without a start. If no clear path was found, its
             `blocked_by` names the pair that comes too close.
-        error: distance of the tip from its goal [m].
+        error: distance of the tip from its goal, or the largest of a control point [m].
         clearance: smallest distance from obstacles, and between parts of the arm if the scene includes
             self-collision [m]; infinite without a scene.
         limit_distance: smallest distance of a joint from its limit, in half ranges, in [0, 1]; 1 if no joint
@@ -164,9 +164,9 @@ def reach(
     limits: Limits | None = None,
     objective: Literal["dexterity", "torque"] = "dexterity",
 ) -> tuple[ReachedPosture, ...]:
-    """Find clear postures that bring the tip to a position or a pose, and the paths to them.
+    """Find clear postures that bring the tip, or chosen control points, to a goal, and the paths to them.
 
-    Damped least squares bring the tip to the goal from many postures, including the start, first without
+    Damped least squares bring them to the goal from many postures, including the start, first without
     obstacles. The postures that intrude least are pushed clear, then improved in the null space: clearance,
     distance from joint limits, and manipulability or the torques that hold the arm. The search is not
     complete: it can miss postures.
@@ -174,7 +174,8 @@ def reach(
     Args:
         arm: the arm.
         goal: the goal of the tip: a position (3,) [m], or a pose as a `pin.SE3` or a rigid transform (4, 4),
-            world frame.
+            world frame. Or a `Target`, whose control points with a weight are to be met, for instance a
+            region of a curve, `target.region(0, 7)`.
         direction: direction of the last link at the goal, (3,), world frame, if the goal is a position.
         scene: the obstacles and their margin; None: no obstacles.
         start: the current configuration, (nq,), at which the paths begin. None: no paths.
@@ -182,8 +183,9 @@ def reach(
         seed: seed of the random numbers.
         budget: total time [s]. If it ends the search, the result depends on the speed of the machine;
             otherwise it is reproducible for a given seed.
-        tolerance: largest distance of the tip from its goal [m]; a rotation counts as the arc at a radius of
-            `Arm.characteristic_length`. A millionth of the arm length if None.
+        tolerance: largest distance of the tip from its goal, or root of the summed squares of several points
+            [m]; a rotation counts as the arc at a radius of `Arm.characteristic_length`. A millionth of the
+            arm length if None.
         limits: the margin to position limits, and the torque limits that the postures and paths keep;
             `Limits()` if None.
         objective: "dexterity" prefers postures in which the tip can move in all directions; "torque" those
@@ -217,12 +219,12 @@ def reach(
     require_positive("budget", budget)
     allowed_error = CONVERGED * arm.length if tolerance is None else tolerance
     require_positive("tolerance", allowed_error)
-    task = tip_task(arm, goal, direction)
+    sought = _Goal.of(arm, goal, direction)
     limits = Limits() if limits is None else limits
     first = None if start is None else arm.checked_start(start, "start")
-    _check_in_reach(arm, task, allowed_error, scene)
+    _check_in_reach(arm, sought, allowed_error, scene)
     until = began + (budget if first is None else 0.5 * budget)
-    search = _Search(arm, task, scene, limits, allowed_error, objective)
+    search = _Search(arm, sought, scene, limits, allowed_error, objective)
     postures = search.find(first, count + SEARCH.spare, np.random.default_rng(seed), until)
     if first is None:
         return tuple(postures[:count])
@@ -264,10 +266,10 @@ def reach_from(
         OutOfReach: the goal is out of reach.
         ReachError: the goal is inside an obstacle.
     """
-    task = tip_task(arm, place, direction)
+    goal = _Goal.of_tip(tip_task(arm, place, direction))
     tolerance = CONVERGED * arm.length
-    _check_in_reach(arm, task, tolerance, scene)
-    search = _Search(arm, task, scene, Limits() if limits is None else limits, tolerance)
+    _check_in_reach(arm, goal, tolerance, scene)
+    search = _Search(arm, goal, scene, Limits() if limits is None else limits, tolerance)
     state = arm.chain_at(arm.checked_start(start, "start"))
     return search.descend(state)
 
@@ -287,7 +289,7 @@ def bring_to_goal(arm: Arm, task: EndEffector, state: ChainState) -> tuple[Chain
         from `state` misses the goal, the state is the nearest to it of those that reach the goal from a wave
         of seed postures; if none does, the one that comes closest to the goal.
     """
-    search = _Search(arm, task, None, Limits(), CONVERGED * arm.length)
+    search = _Search(arm, _Goal.of_tip(task), None, Limits(), CONVERGED * arm.length)
     waves = SEARCH.near_waves
     try:
         require_within_reach(arm, task)
@@ -310,6 +312,63 @@ def tip_task(arm: Arm, goal: Any, direction: ArrayLike | None) -> EndEffector:
     return EndEffector(pose=pin.SE3(turn, position), direction_only=True)
 
 
+@dataclass(frozen=True, eq=False)
+class _PointPositions(ComparableTask):
+    """Bring the control points that a target weights to their positions.
+
+    Attributes:
+        goal: the target.
+        weight: weight of the squared error of each row.
+    """
+
+    goal: Target
+    weight: float = 1.0
+
+    def rows(self, state: ArmState, target: Target) -> TaskRows:
+        """Return the rows of one point after the other; see `ControlTask.rows`."""
+        plane = state.arm.plane
+        active = self.goal.has_target
+        apart = self.goal.errors(state.points)[active] @ plane.T
+        jacobian = plane @ state.jacobians[active]
+        return TaskRows(jacobian.reshape(apart.size, -1), apart.ravel())
+
+
+class _Goal(NamedTuple):
+    """Where a search brings control points.
+
+    Attributes:
+        task: the task of bringing them there.
+        points: their indices, (k,).
+        places: their positions there, (k, 3) [m].
+        who: what they are called in messages.
+    """
+
+    task: EndEffector | _PointPositions
+    points: NDArray[np.intp]
+    places: Array
+    who: str
+
+    @classmethod
+    def of_tip(cls, task: EndEffector) -> _Goal:
+        """Return the goal of the tip."""
+        return cls(task, np.array([-1]), _place_of(task)[None], "the tip")
+
+    @classmethod
+    def of(cls, arm: Arm, goal: Any, direction: ArrayLike | None) -> _Goal:
+        """Return the goal of the tip, or of the control points of a target, from arguments of `reach`."""
+        if not isinstance(goal, Target):
+            return cls.of_tip(tip_task(arm, goal, direction))
+        if direction is not None:
+            raise InvalidValue("direction", direction, "None where the goal is a Target")
+        goal.check(arm)
+        active = np.flatnonzero(goal.has_target)
+        return cls(_PointPositions(goal), active, goal.points[active], "the control points")
+
+    def distance(self, points: Array) -> float:
+        """Return the largest distance of a control point, of all (m, 3), from where it should be [m]."""
+        return float(np.linalg.norm(points[self.points] - self.places, axis=1).max())
+
+
 def _place_of(task: EndEffector) -> Array:
     return np.asarray(task.position if task.pose is None else task.pose[:3, 3])
 
@@ -327,17 +386,14 @@ def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) ->
         raise OutOfReach(position, reason)
 
 
-def _check_in_reach(arm: Arm, task: EndEffector, tolerance: float, scene: Scene | None) -> None:
+def _check_in_reach(arm: Arm, goal: _Goal, tolerance: float, scene: Scene | None) -> None:
     """Refuse goals that no posture can reach."""
-    position = _place_of(task)
-    raise_together(
-        gather(
-            lambda: require_within_reach(arm, task, tolerance),
-            lambda: _check_plane(arm, position, tolerance),
-            lambda: _check_outside(scene, position),
-            lambda: _check_orientation(arm, task, tolerance),
-        )
-    )
+    checks = [partial(_check_outside, scene, place, goal.who) for place in goal.places]
+    if isinstance(goal.task, EndEffector):
+        checks.insert(0, partial(require_within_reach, arm, goal.task, tolerance))
+        checks.insert(1, partial(_check_plane, arm, goal.places[0], tolerance))
+        checks.append(partial(_check_orientation, arm, goal.task, tolerance))
+    raise_together(gather(*checks))
 
 
 def _check_plane(arm: Arm, position: Array, tolerance: float) -> None:
@@ -349,10 +405,10 @@ def _check_plane(arm: Arm, position: Array, tolerance: float) -> None:
         raise OutOfReach(position, reason)
 
 
-def _check_outside(scene: Scene | None, position: Array) -> None:
+def _check_outside(scene: Scene | None, position: Array, who: str) -> None:
     inside = () if scene is None else obstacles_around(scene, position)
     if inside:
-        raise ReachError(position, f"it is inside {', '.join(inside)}")
+        raise ReachError(position, f"it is inside {', '.join(inside)}", who)
 
 
 def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
@@ -469,14 +525,15 @@ class _Search:
     def __init__(
         self,
         arm: Arm,
-        task: EndEffector,
+        goal: _Goal,
         scene: Scene | None,
         limits: Limits,
         tolerance: float,
         objective: str = "dexterity",
     ) -> None:
         self.arm = arm
-        self.task = task
+        self.goal = goal
+        self.task = goal.task
         self.scene = scene
         self.limits = limits
         self.tolerance = tolerance
@@ -538,7 +595,8 @@ class _Search:
             ):
                 break
         if not postures:
-            raise ReachError(_place_of(self.task), self._explain_failure(nearest, intruding))
+            goal = self.goal
+            raise ReachError(goal.places[-1], self._explain_failure(nearest, intruding), goal.who)
         return sorted(postures, key=lambda posture: -posture.score)
 
     def bring_near(self, state: ChainState, waves: int, rng: np.random.Generator) -> tuple[ChainState, float]:
@@ -596,7 +654,8 @@ class _Search:
 
     def _explain_failure(self, nearest: float, intruding: int) -> str:
         if nearest > self.tolerance:
-            return f"the closest posture found leaves the tip {length_text(nearest)} from its goal"
+            away = f"{length_text(nearest)} from {'its' if len(self.goal.points) == 1 else 'their'} goal"
+            return f"the closest posture found leaves {self.goal.who} {away}"
         torques = "" if self.torque_limits is None else ", need more torque than there is"
         tried = f"all {intruding} postures tried violate the margin{torques} or miss the goal"
         return f"no clear posture was found: {tried}; a larger budget tries more"
@@ -732,7 +791,7 @@ class _Search:
         score = (min(max(clearance, 0.0) / (SEARCH.ample * arm.length), 1.0) + limit_distance + index) / 3.0
         if self.torques is not None:
             score = max(0.0, 1.0 - self.torques.heaviest(state).share)
-        distance = float(np.linalg.norm(at.points[-1] - _place_of(self.task)))
+        distance = self.goal.distance(at.points)
         q.flags.writeable = False
         target = Target(at.points, np.ones(arm.n_modules), q=q)
         load = at.most_loaded()

@@ -49,6 +49,7 @@ from pinposture.schema import (
     declared,
     is_list_of,
     is_table,
+    one_of,
     read_again,
     read_by,
     read_within,
@@ -116,6 +117,8 @@ class TipGoal(Declared):
         duration: time for the motion [s]; None: as fast as the limits allow.
         hold: how long to stay there [s].
         budget: time for the search [s], as for `reach`.
+        objective: what the posture is chosen for, as for `reach`. With "dexterity" the tip moves straight to
+            its goal if that is clear.
 
     Raises:
         InvalidValue: an invalid value, or both a direction and a rotation.
@@ -127,6 +130,9 @@ class TipGoal(Declared):
     duration: Duration | None = None
     hold: Time = 0.0
     budget: Duration = 5.0
+    objective: Annotated[Literal["dexterity", "torque"], one_of("objective", "dexterity", "torque")] = (
+        "dexterity"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> TipGoal:
@@ -574,7 +580,8 @@ class _Planner:
 
     def _reach(self, goal: TipGoal, name: str) -> None:
         require_within_reach(self._arm, goal.task(self._arm))
-        path = self._drag(goal) or self._search(goal)
+        straight = self._drag(goal) if goal.objective == "dexterity" else None
+        path = straight or self._search(goal)
         piece = self._along(path, goal.duration, goal.hold)
         waypoint = _waypoint(name, piece)._replace(tip=goal.task(self._arm), row=piece.rows - 1)
         self._add(replace(piece, waypoints=(waypoint,)), name)
@@ -629,6 +636,7 @@ class _Planner:
             start=self._begin(),
             budget=goal.budget,
             limits=self._limits,
+            objective=goal.objective,
         )
         path = found[0].path
         if path is None or path.blocked_by:

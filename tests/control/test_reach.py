@@ -273,6 +273,50 @@ def test_postures_can_be_chosen_for_low_torque_and_within_torque_limits():
     assert np.mean(light) < 0.8 * np.mean(usual)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("first", "last", "relief"), [(9, 9, 0.6), (6, 9, 0.9), (0, 4, 0.9)])
+def test_a_part_of_the_arm_meets_its_points_and_the_rest_is_easy_to_hold(first, last, relief):
+    arm = template_arm("RyRz", 10).with_payload(0.05).with_effort(0.6)
+    rng = np.random.default_rng(0)
+    usual = []
+    light = []
+    for number in range(3):
+        target = pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.8)).region(first, last)
+        for objective, shares in (("dexterity", usual), ("torque", light)):
+            (found,) = pp.reach(arm, target, seed=number, objective=objective, scene=pp.Scene())
+            data = arm.model.createData()
+            pin.framesForwardKinematics(arm.model, data, found.q)
+            for point in range(first, last + 1):
+                there = data.oMf[arm.model.getFrameId(arm.control_points[point])].translation
+                assert there == pytest.approx(target.points[point], abs=1e-6 * arm.length)
+            assert arm.within_limits(found.q)
+            shares.append(gravity_shares(arm, found.q).max())
+    assert np.mean(light) < relief * np.mean(usual)
+
+
+def test_a_whole_posture_is_met_where_nothing_is_free():
+    arm = template_arm("Rz", 4)
+    q = arm.configuration([0.3, -0.4, 0.5, 0.2])
+    (found,) = pp.reach(arm, pp.Target.from_configuration(arm, q), start=arm.straight())
+    assert arm.positions(found.q)[:3] == pytest.approx(arm.positions(q)[:3], abs=1e-5)
+    assert found.path is not None
+    assert arm.at(found.path.configurations[-1]).points == pytest.approx(arm.at(q).points, abs=1e-5)
+
+
+def test_points_that_cannot_be_met_are_told_as_such(arm):
+    straight = arm.at(arm.straight()).points
+    apart = pp.Target.from_points(arm, straight + (0.0, 0.0, 0.3)).region(0, 1)
+    with pytest.raises(
+        pp.PostureError, match=r"the control points cannot reach .* leaves the control points"
+    ):
+        pp.reach(arm, apart, budget=0.5)
+    with pytest.raises(pp.PostureError, match="direction"):
+        pp.reach(arm, apart, direction=(1, 0, 0))
+    ball = pp.Scene({"ball": pp.Sphere(straight[5].tolist(), 0.05)})
+    with pytest.raises(pp.PostureError, match=r"the control points cannot reach .* inside ball"):
+        pp.reach(arm, pp.Target.from_points(arm, straight).region(5, 5), scene=ball)
+
+
 def test_an_unknown_objective_is_named(arm):
     with pytest.raises(UnknownName, match="no objective is called 'comfort'; there are: dexterity, torque"):
         pp.reach(arm, (0.3, 0.1, 0.1), objective="comfort")

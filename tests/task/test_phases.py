@@ -137,6 +137,24 @@ def test_the_tip_is_at_its_goal_and_moves_there_straight(aim: dict[str, tuple[fl
 
 
 @pytest.mark.long
+def test_the_tip_goes_to_a_posture_of_low_torque() -> None:
+    shares = {}
+    arm = fed().with_effort(
+        {name: 100.0 if slides else 1.0 for name, slides in zip(fed().joint_names, fed().slides, strict=True)}
+    )
+    for objective in ("dexterity", "torque"):
+        goal = TipGoal((0.95, 0.15, 0.2), objective=objective)  # type: ignore[arg-type]
+        task = replace(small(into(depth=0.2), Phase(goal, "look")), arm=arm)
+        reference = task.reference()
+        at = arm.at(reference.configuration(reference.waypoints[1].row))
+        assert at.points[-1] == pytest.approx(goal.position, abs=1e-5)
+        load = at.most_loaded()
+        assert load is not None
+        shares[objective] = load.share
+    assert shares["torque"] < 0.8 * shares["dexterity"]
+
+
+@pytest.mark.long
 def test_one_verdict_names_the_phase_that_failed() -> None:
     sweep = pp.Keyframe(joints=tuple(np.r_[0.3, np.zeros(fed().nv - 1)]), duration=1.0, name="straight")
     curl = pp.Keyframe(joints=tuple(np.r_[0.0, np.full(fed().nv - 1, 0.05)]), name="curl")
