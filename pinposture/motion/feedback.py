@@ -13,6 +13,7 @@ from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm, ArmState
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL_TURN
+from pinposture.motion.arrival import STALL
 from pinposture.motion.drive_response import DRIVE_RESPONSE, DriveModel, DriveResponse
 from pinposture.placement import Target
 
@@ -25,6 +26,11 @@ class FeedbackSettings(NamedTuple):
     tolerance: float = 1e-7
     """Change of the feedback that is too small to update a target, in `Arm.joint_units`, and in arm
     lengths."""
+
+    same_estimate: float = 1e-5
+    """Change of the estimate that moves no arm which rests short of its target, in `Arm.joint_units`, unless
+    noise makes more. With 0, one at its torque limits jittered by 6e-4 rad for ever; with 1e-4 as well none
+    did."""
 
     max_point_offset: float = 0.25
     """Distance of a measured control point from forward kinematics that discards it, in arm lengths."""
@@ -44,6 +50,12 @@ class FeedbackSettings(NamedTuple):
     """Longest time over which the displacement of the arm from its command is averaged [s]. An arm that
     evades obstacles by its average does not oscillate if the lag is at most a quarter of it (see
     `Feedback`)."""
+
+    reading_time: float = 0.25
+    """Time over which readings are averaged with a velocity interface [s]."""
+
+    noise_time: float = 0.1
+    """Time over which their noise is averaged [s]: the arm arrives the later, the longer it is."""
 
     average_deviations: float = 3.0
     """Change of an average that noise explains, in its standard deviations."""
@@ -180,6 +192,8 @@ class Feedback:
     The estimate stays as it is while the arm is at its target; for a joint whose command has moved on without
     moving it; and for a joint that has come to rest on either side of its target, because its drive cannot
     resolve the rest. Each time that happens, T is doubled for the joint. |b| is at most `max_tracking_error`.
+    It stays as well, within noise, while the arm rests short of a target that it cannot take, which would
+    otherwise move with the noise of the estimate for ever.
 
     A measurement is plausible if a drive could be there: between the command, the command filtered with the
     lag of the drives, and c + b, or within `max_tracking_error` of them.
@@ -199,6 +213,7 @@ class Feedback:
         noise: change of that average that noise explains, (nv,) [rad or m].
         response: how the drives respond.
         settled: whether the arm is at its target, so that estimates stay as they are.
+        falls_short: whether the command is not where it aims, on its way or because it cannot be there.
         lead: what drives are sent beyond the command, so that they follow it, (nv,) [rad or m].
         limp: degrees of freedom that are not to follow, (nv,): near where they are expected, they are not fed
             back.
@@ -227,6 +242,7 @@ class Feedback:
         self.points: Array | None = None
         self.deviation = np.zeros((arm.n_modules, 3))
         self.settled = False
+        self.falls_short = False
         self._time_constant = time_constant
         self._most_compensated = FEEDBACK.tracking_error if max_tracking_error is None else max_tracking_error
         if drives is None:
@@ -278,6 +294,10 @@ class Feedback:
         self._displacement = np.zeros(self.arm.nv)
         self.displacement: Array | None = None
         self.noise = np.zeros(self.arm.nv)
+        self._steady_at = np.zeros(self.arm.nv)
+        self._steady_for = 0.0
+        self._left = np.zeros(self.arm.nv)
+        self._variances = np.zeros(self.arm.nv)
 
     def restart(self, measured: Measurement, moving: bool = False) -> None:
         """Start from a measurement, at rest or not, and forget all estimates."""
@@ -522,7 +542,9 @@ class Feedback:
         share = 1.0 if self._time_constant == 0.0 else 1.0 - exp(-dt / self._time_constant)
         expected = cast(ArmState, self.state).chain_state.points
         if self._time_constant == 0.0:
-            self._move_to(measured)
+            change = self._change_beyond_noise(difference, dt)
+            positions = None if measured.positions is None else cast(Array, self.positions) + change
+            self._move_to(Measurement(self.arm.integrate(self.command, change), positions))
         else:
             self._average(difference, dt)
             if not self.settled:
@@ -547,7 +569,31 @@ class Feedback:
         shares = np.where(response.compensable, share * 0.5**response.history.overshoots, 0.0)
         if not (response.followed or self._at_rest):
             shares = 0.0 * shares  # nothing is known of the drives yet
+        if self.falls_short and self.steady:
+            off = np.clip(self._displacement, -most, most) - self._offset
+            same = np.maximum(STALL.two_averages * self.noise, FEEDBACK.same_estimate * self.arm.joint_units)
+            if np.all((np.abs(off) <= same) | (shares == 0.0)):
+                return
         self._offset = np.clip(self._offset + shares * (difference - self._offset), -most, most)
+
+    def _change_beyond_noise(self, difference: Array, dt: float) -> Array:
+        """Return how far the arm is from where its last step led it, beyond noise, (nv,) [rad or m].
+
+        If each step began at the noise of a reading, tasks of priority would follow that, with all that the
+        limits of acceleration leave, and the arm would wander. The average of what is left has less noise.
+        """
+        share = 1.0 - exp(-dt / FEEDBACK.noise_time)
+        self._variances += share * (0.5 * (difference - self._left) ** 2 - self._variances)
+        # The first holds while drives lag behind steps; the second where readings are repeated, too.
+        variances = np.minimum(self.response.history.variances, self._variances)
+        noise = FEEDBACK.average_deviations * np.sqrt(variances)
+        change = difference - np.clip(difference, -noise, noise)
+        share = 1.0 - exp(-dt / FEEDBACK.reading_time)
+        self._displacement += share * (difference - change - self._displacement)
+        noise *= np.sqrt(share / (2.0 - share))
+        change += share * (self._displacement - np.clip(self._displacement, -noise, noise))
+        self._left = difference - change
+        return np.asarray(change)
 
     def _average(self, difference: Array, dt: float) -> None:
         """Average the displacement of the measured arm from the command."""
@@ -560,6 +606,17 @@ class Feedback:
         if np.any(np.abs(self._displacement - before) > self.noise):
             known = np.any(np.abs(self._displacement) > self.noise)
             self.displacement = self._displacement.copy() if known else None
+        self._steady_for += dt
+        off = (np.zeros(self.arm.nv) if self.displacement is None else self.displacement) - self._steady_at
+        most = np.maximum(STALL.two_averages * self.noise, STALL.steady * self.arm.joint_units)
+        if np.any(np.abs(off) > most):
+            self._steady_at = self._steady_at + off
+            self._steady_for = 0.0
+
+    @property
+    def steady(self) -> bool:
+        """Whether the displacement has long changed within noise alone: in motion it changes with the lag."""
+        return self._steady_for >= STALL.averages * self.averaging_time
 
     def _is_confirmed(self, measured: Measurement, dt: float) -> bool:
         """Restart, and return True, once deviating measurements at rest have agreed long enough."""

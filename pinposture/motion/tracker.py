@@ -139,7 +139,7 @@ class Tracker:
     short; for tasks of the controller, once the arm is steady. If the measured arm loses the margin to an
     obstacle, the command moves such that it regains it.
     Send `arm.drives.velocities(dq) / dt` to velocity-controlled drives; each step then starts at the
-    measurement.
+    measurement, within its noise.
 
     The constructor makes what cycles need, so that none waits for it. It loads all compiled kernels: half a
     second for the first tracker in a process, and about a minute if they are not compiled yet (`pinposture
@@ -275,8 +275,6 @@ class Tracker:
         self._dt = period
         self._tasks = controller.tasks if isinstance(controller, Geodesic) else ()
         self._displaced = np.zeros(arm.nv)
-        self._settling = np.zeros(arm.nv)
-        self._settled_for = 0.0
         self.overruns = 0
         self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
@@ -505,7 +503,7 @@ class Tracker:
         self._feel(feedback, torques, passed)
         self._judge_arrival(feedback, dt)
         self._watch_clearance()
-        self._displace_tasks(dt)
+        self._displace_tasks()
         share = dt / self._period
         needed = self._smoothing.needs_step(share) or self._decision is None
         decision = self._decide(feedback, dt) if needed or self._decision is None else self._decision
@@ -641,7 +639,7 @@ class Tracker:
         if controller.scene is not None:
             self._steps.controller = controller.with_offset(displacement)
 
-    def _displace_tasks(self, dt: float) -> None:
+    def _displace_tasks(self) -> None:
         """Have the measured arm take the tasks of the controller, once its displacement has settled.
 
         In motion it changes with the lag of the drives, and tasks that change need another path.
@@ -653,13 +651,7 @@ class Tracker:
         if self._feedback.displacement is not None:
             displacement = self._feedback.displacement
         noise = STALL.two_averages * self._feedback.noise
-        self._settled_for += dt
-        steady = np.maximum(noise, STALL.steady * self.arm.joint_units)
-        if np.any(np.abs(displacement - self._settling) > steady):
-            self._settling = displacement
-            self._settled_for = 0.0
-        settled = self._settled_for >= STALL.averages * self._feedback.averaging_time
-        if settled and np.any(np.abs(displacement - self._displaced) > noise):
+        if self._feedback.steady and np.any(np.abs(displacement - self._displaced) > noise):
             self._displaced = displacement
             tasks = tuple(Displaced(task, displacement) for task in self._tasks)
             self._steps.controller = replace(controller, tasks=tasks)
@@ -834,15 +826,21 @@ class Tracker:
             return "converged", ""
         if compensated is not None:
             distance = compensated.mean_distance(feedback.state.chain_state.points)
+            self._feedback.falls_short = distance > CONVERGED * self.arm.length
             if distance <= ARRIVAL.aimed * self.arm.length:
-                return self._await_arrival()
+                return self._await_arrival(reason)
         return status, reason
 
-    def _await_arrival(self) -> tuple[str, str]:
-        """Return status and reason of an arm whose command is where it aims, but which is not there yet."""
+    def _await_arrival(self, reason: str) -> tuple[str, str]:
+        """Return status and reason of an arm whose command is near where it aims, but which is not there yet.
+
+        A `reason` why the controller does not move it is known if the command cannot be there either.
+        """
         positions = self._arrival.positions
         if self._arrival.standing < REST.standing_time or self._target is None or positions is None:
             return "moving", ""
+        if reason and self._feedback.falls_short:
+            return "stalled", reason
         return "stalled", self._feedback.describe_shortfall(self._target, positions)
 
     def _lost_limits(self, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -42,11 +42,11 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     return made
 
 
-def missed(arm: pp.Arm) -> Target:
-    """Points that the arm cannot take."""
+def missed(arm: pp.Arm, by: float = 0.02) -> Target:
+    """Points that the arm cannot take, by some distance [m]."""
     rng = np.random.default_rng(2)
     points = arm.at(rng.uniform(-0.4, 0.4, arm.nv)).points
-    return Target.from_points(arm, points + 0.02 * rng.normal(size=points.shape))
+    return Target.from_points(arm, points + by * rng.normal(size=points.shape))
 
 
 def go(tracker: Tracker, q: np.ndarray, cycles: int, sag: np.ndarray | float, noise: float) -> np.ndarray:
@@ -58,21 +58,67 @@ def go(tracker: Tracker, q: np.ndarray, cycles: int, sag: np.ndarray | float, no
     return q
 
 
+TIP = pp.EndEffector(position=(0.2, 0.1, 0.1))
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("noise", [0.0])
-@pytest.mark.parametrize("tasks", [(), (pp.EndEffector(position=(0.2, 0.1, 0.1)),)])
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+@pytest.mark.parametrize(("tasks", "by"), [((), 0.02), ((), 2e-4), ((TIP,), 0.02)])
 def test_an_arm_that_cannot_take_its_target_comes_to_rest(
-    arm: pp.Arm, calls: Counter[str], tasks: tuple[ControlTask, ...], noise: float
+    arm: pp.Arm, calls: Counter[str], tasks: tuple[ControlTask, ...], by: float, noise: float
 ) -> None:
     tracker = Tracker(arm, pp.Geodesic(tasks=tasks), LIMITS)
-    tracker.update(missed(arm))
+    tracker.update(missed(arm, by))
     sag = 0.03 * np.random.default_rng(0).normal(size=arm.nv)
     q = go(tracker, np.zeros(arm.nv), 1000, sag, noise)
     calls.clear()
     sent = tracker.command
-    go(tracker, q, 300, sag, noise)
+    q = go(tracker, q, 300, sag, noise)
     assert np.abs(tracker.command - sent).max() < 1e-5 and tracker.report.status == "stalled"
     assert calls["plans"] <= 10 and calls["steps"] <= 80
+    error = tracker.report.mean_error
+    sag[0] += 0.03  # by which the error would grow by 4 mm; it follows another sag all the same
+    go(tracker, q, 500, sag, noise)
+    assert tracker.report.mean_error == pytest.approx(error, abs=1e-3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_an_arm_that_its_motors_cannot_hold_at_the_target_comes_to_rest(
+    calls: Counter[str], noise: float
+) -> None:
+    arm = template_arm("RyRz", 6).with_effort(0.15)
+    down = np.zeros(arm.nv)
+    down[0] = 1.5
+    limits = pp.Limits(step=None, dt=0.01, velocity=1.0, acceleration=4.0, effort=True)
+    tracker = Tracker(arm, limits=limits)
+    tracker.update(Target.from_configuration(arm, 0.1 * np.eye(arm.nv)[0]))
+    sag = 0.03 * np.random.default_rng(7).normal(size=arm.nv)
+    q = go(tracker, down, 1200, sag, noise)
+    calls.clear()
+    sent = tracker.command
+    go(tracker, q, 300, sag, noise)
+    assert np.abs(tracker.command - sent).max() < 1e-5 + 2.0 * noise
+    assert tracker.report.status == "stalled"
+    assert calls["plans"] <= 10
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [0.0, 3e-5, 3e-4])
+def test_velocities_lead_a_tip_to_its_pose_through_noise(arm: pp.Arm, noise: float) -> None:
+    goal = np.random.default_rng(2).uniform(-0.4, 0.4, arm.nv)
+    tip = pp.EndEffector.held(arm.at(goal), priority=True)
+    tracker = Tracker(arm, pp.Geodesic(tasks=(tip,)), LIMITS, interface="velocity")
+    tracker.update(Target.from_configuration(arm, goal))
+    rng = np.random.default_rng(7)
+    q = np.zeros(arm.nv)
+    passed = []
+    for _ in range(500):
+        q = q + tracker.step(q + noise * rng.normal(size=arm.nv))
+        passed.append(q)
+    assert tracker.report.status == "converged"
+    assert np.ptp(passed[400:], axis=0).max() <= noise
+    np.testing.assert_allclose(q, goal, atol=noise + 1e-7)
 
 
 @pytest.mark.long
