@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from pinposture import kernels
 from pinposture.arm.kinematics import neutral_placements, read_joints
-from pinposture.kernels.arrays import JOINT, TorqueSamples
+from pinposture.kernels.arrays import JOINT
 
 Array = NDArray[np.float64]
 
@@ -45,6 +45,8 @@ class Dynamics:
     Attributes:
         dry_friction: dry friction along each degree of freedom, (nv,) [N m or N].
         damping: its viscous friction, (nv,) [N m s/rad or N s/m].
+        indices: joints and bodies, as kernels take them, (3 k,); see `kernels.dynamics.unpack`.
+        numbers: likewise, (18 k + nv + 3,).
         whole: whether all joints of the model are counted. Where one off the chain moves otherwise than it
             turns or slides, only the chain is.
     """
@@ -82,8 +84,8 @@ class Dynamics:
             carried,
             np.array(model.armature),
         ]
-        self._indices = np.concatenate([joints.parents, joints.kinds, joints.columns])
-        self._numbers = np.concatenate([*of_joints, *of_bodies, np.array(model.gravity.linear)])
+        self.indices = np.concatenate([joints.parents, joints.kinds, joints.columns])
+        self.numbers = np.concatenate([*of_joints, *of_bodies, np.array(model.gravity.linear)])
 
     def gravity_torques(self, positions: Array, gravity: Array | None = None) -> Array:
         """Compute the torques and forces that balance gravity, (..., nv) [N m or N].
@@ -92,24 +94,24 @@ class Dynamics:
             positions: joint positions, (..., nv) [rad or m].
             gravity: gravitational acceleration, world frame, (3,) [m/s^2]; that of the model if None.
         """
-        numbers = self._numbers if gravity is None else np.append(self._numbers[:-3], gravity)
+        numbers = self.numbers if gravity is None else np.append(self.numbers[:-3], gravity)
         rows = np.array(positions, ndmin=2)
         torques = np.empty(rows.shape)
-        kernels.gravity_torques(self._indices, numbers, rows, torques)
+        kernels.gravity_torques(self.indices, numbers, rows, torques)
         return torques.reshape(positions.shape)
 
     def gravity_gradient(self, positions: Array) -> Array:
         """Compute the change of these torques per joint motion at positions (nv,), (nv, nv); symmetric."""
         gradient = np.empty((len(positions), len(positions)))
-        kernels.gravity_gradient(self._indices, self._numbers, _plain(positions), gradient)
+        kernels.gravity_gradient(self.indices, self.numbers, _plain(positions), gradient)
         return gradient
 
     def inverse_dynamics(self, positions: Array, velocities: Array, accelerations: Array) -> Array:
         """Compute the torques and forces of motions, armature included, all (s, nv)."""
         torques = np.empty(positions.shape)
         kernels.inverse_dynamics(
-            self._indices,
-            self._numbers,
+            self.indices,
+            self.numbers,
             _plain(positions),
             _plain(velocities),
             _plain(accelerations),
@@ -128,8 +130,8 @@ class Dynamics:
             effort: the limits of the torques, (nv,) [N m or N].
         """
         shares = kernels.step_loads(
-            self._indices,
-            self._numbers,
+            self.indices,
+            self.numbers,
             _plain(start),
             _plain(before),
             _plain(steps),
@@ -137,25 +139,6 @@ class Dynamics:
             _plain(effort),
         )
         return StepLoads(*shares)
-
-    def path_torques(
-        self, start: Array, offsets: Array, slopes: Array, samples: int, dt: float
-    ) -> TorqueSamples:
-        """Compute the torques along a path, the cubic curve through its waypoints, at equidistant samples.
-
-        Args:
-            start: joint positions at its start, (nv,) [rad or m].
-            offsets: displacement of each waypoint from there, (N + 1, nv) [rad or m].
-            slopes: change of it per waypoint, (N + 1, nv).
-            samples: number of samples, from the start to the end.
-            dt: duration of a step [s]; path speeds are in waypoints per step.
-        """
-        shape = (samples, len(start))
-        filled = TorqueSamples(np.empty(shape), np.empty(shape), np.empty(shape))
-        kernels.path_torques(
-            self._indices, self._numbers, _plain(offsets), _plain(slopes), _plain(start), dt, filled
-        )
-        return filled
 
 
 def _plain(values: Array) -> Array:

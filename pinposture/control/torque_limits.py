@@ -225,10 +225,6 @@ class StepTorques:
         """Check whether the torques of a step dq (nv,) are within their limits."""
         return bool((np.abs(self.of(dq)) <= self._effort).all())
 
-    def largest_share(self, steps: Array) -> float:
-        """Return the largest torque of steps (k, nv) and of the rest after them, relative to its limit."""
-        return self.judged(steps).share
-
     def judged(self, steps: Array, first: int = 0) -> Stop:
         """Return steps (k, nv) that stop the arm with their torques; so many of them come before the stop."""
         dynamics = self._arm.dynamics

@@ -10,8 +10,12 @@ Weight needs no sum of forces: all that a joint carries weighs as much as its ma
 
 Passes along the joints treat several postures at once, one in each lane, so that the processor can compute
 them together: a row of a body has the number k of all lanes from `k * lanes` on. Each step of a pass waits
-for the one before; so the torques of weight, of a motion and of a push are computed in the same passes.
-Kernels are compiled for `LANES` of them, and for one.
+for the one before; so the torques of weight and of a motion are computed in the same passes, and its momenta.
+Kernels are compiled for `TORQUE_LANES` of them, and for one.
+
+The momenta of joints, the mass matrix times the velocities, are the torques that bring these about within a
+unit of time, from rest. A body of mass m whose origin moves with v has the momentum m v + w x h, and the
+angular momentum h x v + I w, with the inertia I = trace(S) - S.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import (
     JOINT,
+    TORQUE_LANES,
     Array1,
     Array2,
     Bodies,
@@ -37,16 +42,13 @@ from pinposture.kernels.kinematics import rotation_about
 Inertia = tuple[float, Three, tuple[float, float, float, float, float, float]]
 """Mass, first moments, and second moments as those of `Bodies`."""
 
-LANES = 8
-"""Number of postures that are computed together. The torques along a path of 40 joints took 40 % longer with
-4, and as long with 16."""
-
 
 class RowLayout(NamedTuple):
     """Where the row of a body has what.
 
     A loop over lanes that reads and writes one row alone needs no check whether two overlap. So a row takes
-    over from that of the frame that carries it, and hands on to it, in loops of their own.
+    over from that of the frame that carries it, and hands on to it, in loops of their own, over the lanes of
+    one number after the other: with one loop over them all, torques along a path took a fifth longer.
     """
 
     turn: int = 0
@@ -61,52 +63,46 @@ class RowLayout(NamedTuple):
     change: int = 11
     """Its acceleration."""
 
-    push: int = 12
-    """Its acceleration from rest."""
-
-    up: int = 13
+    up: int = 12
     """Minus the acceleration of gravity."""
 
-    spin: int = 16
+    spin: int = 15
     """The angular velocity."""
 
-    spin_rate: int = 19
+    spin_rate: int = 18
     """The angular acceleration."""
 
-    acceleration: int = 22
+    acceleration: int = 21
     """The acceleration of the origin."""
 
-    push_rate: int = 25
-    """The angular acceleration from rest."""
+    velocity: int = 24
+    """The velocity of the origin."""
 
-    push_acceleration: int = 28
-    """The acceleration of the origin from rest."""
-
-    first_moments: int = 31
+    first_moments: int = 27
     """The first moments of all that the joint carries."""
 
-    force: int = 34
+    force: int = 30
     """The force that this takes."""
 
-    moment: int = 37
+    moment: int = 33
     """The moment that this takes."""
 
-    push_force: int = 40
-    """The force of an acceleration from rest."""
+    momentum: int = 36
+    """Its momentum."""
 
-    push_moment: int = 43
-    """The moment of an acceleration from rest."""
+    angular_momentum: int = 39
+    """Its angular momentum."""
 
-    weight: int = 46
+    weight: int = 42
     """The torque of the joint that balances gravity."""
 
-    torque: int = 47
+    torque: int = 43
     """That of the motion."""
 
-    push_torque: int = 48
-    """That of an acceleration from rest."""
+    joint_momentum: int = 44
+    """The momentum of the joint."""
 
-    size: int = 49
+    size: int = 45
     """The length of the row."""
 
 
@@ -308,14 +304,11 @@ def applied(field: Nine, a: Three) -> Three:
 
 
 @inlined
-def put_inertial(
-    row: Array1, at: int, lanes: int, w: int, inertia: Inertia, origin: Three, field: Nine
-) -> None:
+def put_inertial(row: Array1, lanes: int, w: int, inertia: Inertia, origin: Three, field: Nine) -> None:
     """Store the force and the moment that accelerate a body.
 
     Args:
         row: the row of the body.
-        at: where to store the force; the moment comes after it.
         lanes: number of lanes.
         w: the lane.
         inertia: of the body.
@@ -331,13 +324,27 @@ def put_inertial(
         dot(field[:3], along_z) - dot(field[6:], along_x),
         dot(field[3:6], along_x) - dot(field[:3], along_y),
     )
-    put(row, at, lanes, w, add(scale(origin, mass), applied(field, first)))
-    put(row, at + 3, lanes, w, add(cross(first, origin), turning))
+    put(row, ROW.force, lanes, w, add(scale(origin, mass), applied(field, first)))
+    put(row, ROW.moment, lanes, w, add(cross(first, origin), turning))
+
+
+@inlined
+def put_momenta(row: Array1, lanes: int, w: int, inertia: Inertia, spin: Three, velocity: Three) -> None:
+    """Store momentum and angular momentum of a body that turns, and whose origin moves with a velocity."""
+    mass, first, (xx, yy, zz, xy, xz, yz) = inertia
+    x, y, z = spin
+    turning = (
+        (yy + zz) * x - xy * y - xz * z,
+        (xx + zz) * y - xy * x - yz * z,
+        (xx + yy) * z - xz * x - yz * y,
+    )
+    put(row, ROW.momentum, lanes, w, add(scale(velocity, mass), cross(spin, first)))
+    put(row, ROW.angular_momentum, lanes, w, add(cross(first, velocity), turning))
 
 
 @inlined
 def spread_motion(
-    joints: Joints, bodies: Bodies, moves: bool, pushes: bool, lanes: int, rows: Array2
+    joints: Joints, bodies: Bodies, moves: bool, momenta: bool, lanes: int, rows: Array2
 ) -> None:
     """Fill in gravity and motion of placed bodies, and what they take for it, from the base to the tips.
 
@@ -345,19 +352,20 @@ def spread_motion(
         joints: the joints.
         bodies: the bodies.
         moves: whether there is a motion.
-        pushes: whether there is an acceleration from rest, too.
+        momenta: whether its momenta are filled in, too.
         lanes: number of lanes.
         rows: the placed bodies, with velocities and accelerations of their joints.
     """
-    end = ROW.first_moments if pushes else (ROW.push_rate if moves else ROW.spin)
+    end = ROW.first_moments if momenta else (ROW.velocity if moves else ROW.spin)
     rows[0] = 0.0
     for w in range(lanes):
         put(rows[0], ROW.up, lanes, w, (-bodies.gravity[0], -bodies.gravity[1], -bodies.gravity[2]))
     for u in range(len(joints.kinds)):
         row = rows[u + 1]
         carrier = rows[joints.parents[u]]
-        for k in range(ROW.up * lanes, end * lanes):
-            row[k] = carrier[k]
+        for k in range(ROW.up, end):
+            for w in range(lanes):
+                row[k * lanes + w] = carrier[k * lanes + w]
         slides = joints.kinds[u] == JOINT.prismatic
         unit = three_of(joints.axes, u)
         offset = three_of(joints.offsets, u)
@@ -371,11 +379,15 @@ def spread_motion(
                 spin_rate = get(row, ROW.spin_rate, lanes, w)
                 origin = get(row, ROW.acceleration, lanes, w)
                 origin = add(origin, applied(acceleration_field(spin, spin_rate), lever))
+                rate = scale(unit, row[ROW.speed * lanes + w])
+                change = scale(unit, row[ROW.change * lanes + w])
+                if momenta:
+                    velocity = add(get(row, ROW.velocity, lanes, w), cross(spin, lever))
+                    velocity = turned_back(row, lanes, w, velocity)
+                    put(row, ROW.velocity, lanes, w, add(velocity, rate) if slides else velocity)
                 spin = turned_back(row, lanes, w, spin)
                 spin_rate = turned_back(row, lanes, w, spin_rate)
                 origin = turned_back(row, lanes, w, origin)
-                rate = scale(unit, row[ROW.speed * lanes + w])
-                change = scale(unit, row[ROW.change * lanes + w])
                 across = cross(spin, rate)
                 if slides:
                     origin = add(origin, add(change, scale(across, 2.0)))
@@ -385,31 +397,18 @@ def spread_motion(
                 put(row, ROW.spin, lanes, w, spin)
                 put(row, ROW.spin_rate, lanes, w, spin_rate)
                 put(row, ROW.acceleration, lanes, w, origin)
-                field = acceleration_field(spin, spin_rate)
-                put_inertial(row, ROW.force, lanes, w, inertia, origin, field)
-            if pushes:
-                spin_rate = get(row, ROW.push_rate, lanes, w)
-                origin = get(row, ROW.push_acceleration, lanes, w)
-                origin = turned_back(row, lanes, w, add(origin, cross(spin_rate, lever)))
-                spin_rate = turned_back(row, lanes, w, spin_rate)
-                change = scale(unit, row[ROW.push * lanes + w])
-                if slides:
-                    origin = add(origin, change)
-                else:
-                    spin_rate = add(spin_rate, change)
-                put(row, ROW.push_rate, lanes, w, spin_rate)
-                put(row, ROW.push_acceleration, lanes, w, origin)
-                field = acceleration_field((0.0, 0.0, 0.0), spin_rate)
-                put_inertial(row, ROW.push_force, lanes, w, inertia, origin, field)
+                put_inertial(row, lanes, w, inertia, origin, acceleration_field(spin, spin_rate))
+                if momenta:
+                    put_momenta(row, lanes, w, inertia, spin, get(row, ROW.velocity, lanes, w))
 
 
 @inlined
 def hand_on(row: Array1, at: int, lanes: int, w: int, unit: Three, lever: Three, slides: bool) -> float:
-    """Convert force and moment on what a joint carries to the frame that carries the joint.
+    """Convert force and moment on what a joint carries, or its momenta, to the frame that carries the joint.
 
     Args:
         row: the row of the body that the joint carries.
-        at: where it has the force; the moment comes after it.
+        at: where it has the force or momentum; the moment or angular momentum comes after it.
         lanes: number of lanes.
         w: the lane.
         unit: the axis of the joint.
@@ -430,19 +429,19 @@ def hand_on(row: Array1, at: int, lanes: int, w: int, unit: Three, lever: Three,
 
 @inlined
 def gather_torques(
-    joints: Joints, bodies: Bodies, moves: bool, pushes: bool, lanes: int, rows: Array2
+    joints: Joints, bodies: Bodies, moves: bool, momenta: bool, lanes: int, rows: Array2
 ) -> None:
-    """Add up first moments, forces and moments from the tips to the base, and fill in the torques.
+    """Add up first moments, forces, moments and momenta from the tips to the base, and fill in the torques.
 
     Args:
         joints: the joints.
         bodies: the bodies.
         moves: as for `spread_motion`.
-        pushes: likewise.
+        momenta: likewise.
         lanes: number of lanes.
         rows: what `spread_motion` has filled in.
     """
-    end = ROW.weight if pushes else (ROW.push_force if moves else ROW.force)
+    end = ROW.weight if momenta else (ROW.momentum if moves else ROW.force)
     for u in range(len(joints.kinds) - 1, -1, -1):
         row = rows[u + 1]
         slides = joints.kinds[u] == JOINT.prismatic
@@ -457,19 +456,23 @@ def gather_torques(
             put(row, ROW.first_moments, lanes, w, add(turned(row, lanes, w, first), scale(lever, mass)))
             if moves:
                 row[ROW.torque * lanes + w] = hand_on(row, ROW.force, lanes, w, unit, lever, slides)
-            if pushes:
-                row[ROW.push_torque * lanes + w] = hand_on(row, ROW.push_force, lanes, w, unit, lever, slides)
+            if momenta:
+                momentum = hand_on(row, ROW.momentum, lanes, w, unit, lever, slides)
+                row[ROW.joint_momentum * lanes + w] = momentum
         carrier = rows[joints.parents[u]]
-        for k in range(ROW.first_moments * lanes, end * lanes):
-            carrier[k] += row[k]
+        for k in range(ROW.first_moments, end):
+            for w in range(lanes):
+                carrier[k * lanes + w] += row[k * lanes + w]
 
 
 @inlined
-def find_torques(joints: Joints, bodies: Bodies, moves: bool, pushes: bool, lanes: int, rows: Array2) -> None:
+def find_torques(
+    joints: Joints, bodies: Bodies, moves: bool, momenta: bool, lanes: int, rows: Array2
+) -> None:
     """Fill in the torques of gravity and of motions, without armature; arguments as for `spread_motion`."""
     place_bodies(joints, lanes, rows)
-    spread_motion(joints, bodies, moves, pushes, lanes, rows)
-    gather_torques(joints, bodies, moves, pushes, lanes, rows)
+    spread_motion(joints, bodies, moves, momenta, lanes, rows)
+    gather_torques(joints, bodies, moves, momenta, lanes, rows)
 
 
 @inlined
@@ -519,7 +522,7 @@ def inverse_dynamics(
     if len(positions) == 1:
         move_some(indices, numbers, positions, velocities, accelerations, 1, filled)
     else:
-        move_some(indices, numbers, positions, velocities, accelerations, LANES, filled)
+        move_some(indices, numbers, positions, velocities, accelerations, TORQUE_LANES, filled)
 
 
 @inlined
@@ -540,16 +543,16 @@ def gravity_torques(indices: Ints1, numbers: Array1, positions: Array2, filled: 
     if len(positions) == 1:
         lift_some(indices, numbers, positions, 1, filled)
     else:
-        lift_some(indices, numbers, positions, LANES, filled)
+        lift_some(indices, numbers, positions, TORQUE_LANES, filled)
 
 
 @inlined
 def largest_shares(torques: Array2, effort: Array1, some: int, first: int, filled: Array1) -> None:
     """Fill in the largest torque of some postures relative to its limit, from one posture on."""
-    largest = np.zeros(LANES)
+    largest = np.zeros(TORQUE_LANES)
     for j in range(len(effort)):
         per_torque = 1.0 / effort[j]
-        for w in range(LANES):
+        for w in range(TORQUE_LANES):
             share = per_torque * abs(torques[w, j])
             largest[w] = share if share > largest[w] else largest[w]
     for w in range(some):
@@ -585,11 +588,11 @@ def step_loads(
     """
     joints, bodies = unpack(indices, numbers)
     nv = len(start)
-    rows = np.empty((len(joints.kinds) + 1, ROW.size * LANES))
-    positions = np.empty((LANES, nv))
-    velocities = np.empty((LANES, nv))
-    accelerations = np.empty((LANES, nv))
-    torques = np.empty((LANES, nv))
+    rows = np.empty((len(joints.kinds) + 1, ROW.size * TORQUE_LANES))
+    positions = np.empty((TORQUE_LANES, nv))
+    velocities = np.empty((TORQUE_LANES, nv))
+    accelerations = np.empty((TORQUE_LANES, nv))
+    torques = np.empty((TORQUE_LANES, nv))
     reached = start.copy()
     last = len(steps)
     moves = np.zeros((last + 2, nv))
@@ -597,9 +600,9 @@ def step_loads(
     moves[1 : last + 1] = steps
     moving = np.empty(last + 1)
     held = np.empty(last + 1)
-    for first in range(0, last + 1, LANES):
-        some = min(LANES, last + 1 - first)
-        for w in range(LANES):
+    for first in range(0, last + 1, TORQUE_LANES):
+        some = min(TORQUE_LANES, last + 1 - first)
+        for w in range(TORQUE_LANES):
             s = min(first + w, last)
             for j in range(nv):
                 if 0 < s == first + w:
@@ -607,17 +610,17 @@ def step_loads(
                 positions[w, j] = reached[j]
                 velocities[w, j] = (moves[s, j] + moves[s + 1, j]) / (2.0 * dt)
                 accelerations[w, j] = (moves[s + 1, j] - moves[s, j]) / dt**2
-        load_lanes(joints, positions, 0, ROW.position, LANES, rows)
-        load_lanes(joints, velocities, 0, ROW.speed, LANES, rows)
-        load_lanes(joints, accelerations, 0, ROW.change, LANES, rows)
-        find_torques(joints, bodies, True, False, LANES, rows)
+        load_lanes(joints, positions, 0, ROW.position, TORQUE_LANES, rows)
+        load_lanes(joints, velocities, 0, ROW.speed, TORQUE_LANES, rows)
+        load_lanes(joints, accelerations, 0, ROW.change, TORQUE_LANES, rows)
+        find_torques(joints, bodies, True, False, TORQUE_LANES, rows)
         torques[:] = 0.0
-        unload_lanes(joints, ROW.weight, 0, LANES, rows, torques)
+        unload_lanes(joints, ROW.weight, 0, TORQUE_LANES, rows, torques)
         largest_shares(torques, effort, some, first, held)
-        for w in range(LANES):
+        for w in range(TORQUE_LANES):
             for j in range(nv):
                 torques[w, j] += bodies.armature[j] * accelerations[w, j]
-        unload_lanes(joints, ROW.torque, 0, LANES, rows, torques)
+        unload_lanes(joints, ROW.torque, 0, TORQUE_LANES, rows, torques)
         largest_shares(torques, effort, some, first, moving)
     return max(moving.max(), held[last]), held[0], held.max()
 
@@ -647,16 +650,16 @@ def path_torques(
     nv = len(start)
     pieces = len(offsets) - 1
     samples = len(filled.a)
-    rows = np.empty((len(joints.kinds) + 1, ROW.size * LANES))
-    positions = np.empty((LANES, nv))
-    velocities = np.empty((LANES, nv))
-    accelerations = np.empty((LANES, nv))
-    changes = np.empty((LANES, nv))
+    rows = np.empty((len(joints.kinds) + 1, ROW.size * TORQUE_LANES))
+    positions = np.empty((TORQUE_LANES, nv))
+    velocities = np.empty((TORQUE_LANES, nv))
+    changes = np.empty((TORQUE_LANES, nv))
     filled.a[:] = 0.0
     filled.b[:] = 0.0
     filled.c[:] = 0.0
-    for first in range(0, samples, LANES):
-        for w in range(LANES):
+    rate = 1.0 / dt
+    for first in range(0, samples, TORQUE_LANES):
+        for w in range(TORQUE_LANES):
             place = min(first + w, samples - 1) * pieces / (samples - 1)
             i = min(int(place), pieces - 1)
             t = place - i
@@ -667,20 +670,19 @@ def path_torques(
                 square = 3.0 * whole - 2.0 * one - other
                 cubic = one + other - 2.0 * whole
                 positions[w, j] = start[j] + offsets[i, j] + t * (one + t * (square + t * cubic))
-                velocities[w, j] = (one + t * (2.0 * square + t * 3.0 * cubic)) / dt
-                accelerations[w, j] = velocities[w, j] / dt
-                changes[w, j] = (2.0 * square + 6.0 * t * cubic) / dt**2
-        load_lanes(joints, positions, 0, ROW.position, LANES, rows)
-        load_lanes(joints, velocities, 0, ROW.speed, LANES, rows)
-        load_lanes(joints, changes, 0, ROW.change, LANES, rows)
-        load_lanes(joints, accelerations, 0, ROW.push, LANES, rows)
-        find_torques(joints, bodies, True, True, LANES, rows)
-        unload_lanes(joints, ROW.push_torque, first, LANES, rows, filled.a)
-        unload_lanes(joints, ROW.torque, first, LANES, rows, filled.b)
-        unload_lanes(joints, ROW.weight, first, LANES, rows, filled.c)
-        for w in range(min(LANES, samples - first)):
+                velocities[w, j] = (one + t * (2.0 * square + t * 3.0 * cubic)) * rate
+                changes[w, j] = (2.0 * square + 6.0 * t * cubic) * (rate * rate)
+        load_lanes(joints, positions, 0, ROW.position, TORQUE_LANES, rows)
+        load_lanes(joints, velocities, 0, ROW.speed, TORQUE_LANES, rows)
+        load_lanes(joints, changes, 0, ROW.change, TORQUE_LANES, rows)
+        find_torques(joints, bodies, True, True, TORQUE_LANES, rows)
+        unload_lanes(joints, ROW.joint_momentum, first, TORQUE_LANES, rows, filled.a)
+        unload_lanes(joints, ROW.torque, first, TORQUE_LANES, rows, filled.b)
+        unload_lanes(joints, ROW.weight, first, TORQUE_LANES, rows, filled.c)
+        for w in range(min(TORQUE_LANES, samples - first)):
             for j in range(nv):
-                filled.a[first + w, j] += bodies.armature[j] * accelerations[w, j]
+                momentum = filled.a[first + w, j] + bodies.armature[j] * velocities[w, j]
+                filled.a[first + w, j] = momentum * rate  # torques are their change in a step
                 filled.b[first + w, j] += bodies.armature[j] * changes[w, j]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import (
     FULL_TURN,
+    TORQUE_LANES,
     ArmArrays,
     Array1,
     Array2,
@@ -26,6 +27,7 @@ from pinposture.kernels.arrays import (
     TorqueSamples,
 )
 from pinposture.kernels.compiled import compiled, inlined, subkernel
+from pinposture.kernels.dynamics import get, path_torques, put, scale
 from pinposture.kernels.kinematics import placements
 
 
@@ -42,8 +44,26 @@ class PathSpeedSettings(NamedTuple):
     profile can change its speed where the curvature of the path uses up the limit. Half or twice of it
     changed none of these runs."""
 
+    sampled_turn: float = 3.0
+    """Joint motion between samples of torques, the sum over joints, in `Arm.joint_units`."""
+
+    least_samples: int = 8
+    """Least number of these samples on a path. All waypoints are samples, as the bends of a path may
+    change there. Of 120 paths of 40 and 100 joints no step takes over 0.1 % more torque than with four
+    times as many."""
+
+    effort_share: float = 0.97
+    """Share of what holding the arm leaves of the torque limits that a profile uses. With 0.98 some steps of
+    `benchmarks.peers.durations` took 0.2 % more than the limit; motions were 0.3 % shorter in the
+    median. With a share of the whole torque limit they were 1.2 % longer, and up to 3 %, where holding
+    takes most of it."""
+
     least_extra: float = 0.002
     """Torque that motions may take in any case, relative to that which holds the arm."""
+
+    never_binding: float = 0.5
+    """Share of a torque limit that counts as none if no motion on a path within limits of velocity and
+    acceleration takes more. What is left of it is far more than torques differ between samples."""
 
     iterations: int = 60
     """Largest number of iterations for the speed at a position."""
@@ -163,77 +183,223 @@ def _find_rows(
                 steepest[at, j] = max(abs(slope_start), abs(slope_end), between)
 
 
-@compiled
-def fill_torque_rows(
-    samples: TorqueSamples, parts: PathParts, largest: float, share: float, rows: ProfileRows, first: int
-) -> None:
-    """Fill in the rows of torques, by cubic interpolation between samples.
+@subkernel
+def _find_binding(
+    offsets: Array2,
+    slopes: Array2,
+    samples: TorqueSamples,
+    bound: Array1,
+    brake: Array1,
+    limit: Array1,
+    binding: Ints1,
+) -> int:
+    """Find the joints whose torques may come near their limits within those of velocity and acceleration.
 
     Args:
-        samples: torques at four or more equidistant positions on the path, from `path_torques`.
-        parts: the parts of the path.
-        largest: factor of all rows.
-        share: share of the torque that holding the arm leaves, which motions may take.
-        rows: the rows; `limit` is given. In rows of accelerations, c is filled with zeros.
-        first: index of the first row of torques.
+        offsets: displacement of each waypoint from the first, (N + 1, nv).
+        slopes: change of it per waypoint, (N + 1, nv).
+        samples: torques at equidistant positions.
+        bound: largest step of each joint, (nv,).
+        brake: largest change of it between steps, (nv,).
+        limit: the torque limits, (nv,).
+        binding: filled with these joints, (nv,).
+
+    Returns:
+        Their number.
     """
+    pieces = len(offsets) - 1
     last = len(samples.a) - 1
-    nv = samples.a.shape[1]
-    per_piece = last / (len(parts.first) - 1)
-    here = np.empty((3, 3 * nv))  # at the start, the middle and the end of a part
-    every = np.empty((last + 1, 3 * nv))
+    joints = len(limit)
+    largest = np.zeros(joints)
+    slope = np.empty(joints)
+    bend = np.empty(joints)
+    share = np.empty(joints)
+    per_bound = 1.0 / bound
+    per_brake = 1.0 / brake
     for k in range(last + 1):
-        every[k, :nv] = samples.a[k]
-        every[k, nv : 2 * nv] = samples.b[k]
-        every[k, 2 * nv :] = samples.c[k]
-    _between(every, 0.0, here[2])
+        i = min(k * pieces // last, pieces - 1)
+        t = k * pieces / last - i
+        for j in range(joints):
+            whole = offsets[i + 1, j] - offsets[i, j]
+            cubic = slopes[i, j] + slopes[i + 1, j] - 2.0 * whole
+            square = whole - slopes[i, j] - cubic
+            slope[j] = abs(slopes[i, j] + t * (2.0 * square + t * 3.0 * cubic))
+            bend[j] = abs(2.0 * square + 6.0 * t * cubic) * per_brake[j]
+            share[j] = slope[j] * per_bound[j]
+            slope[j] *= per_brake[j]
+        most = 1.0 / len(offsets)
+        steepest = 0.0
+        sharpest = 0.0
+        for j in range(joints):
+            most = max(most, share[j])
+            steepest = max(steepest, slope[j])
+            sharpest = max(sharpest, bend[j])
+        x = 1.0 / most**2
+        u = (1.0 + sharpest * x) / max(steepest, 1e-100)  # as the steepest joint allows, or more
+        for j in range(joints):
+            torque = abs(samples.a[k, j]) * u + abs(samples.b[k, j]) * x + abs(samples.c[k, j])
+            largest[j] = max(largest[j], torque)
+    count = 0
+    for j in range(joints):
+        if largest[j] > PATH_SPEED.never_binding * limit[j]:
+            binding[count] = j
+            count += 1
+    return count
+
+
+@inlined
+def _between(samples: Array3, block: int, s: float, row: Array1, at: int) -> None:
+    """Interpolate a block of (s, B, n) samples by a cubic polynomial at a position in [0, s - 1].
+
+    `row` is filled from `at` on.
+    """
+    before = min(max(int(s) - 1, 0), len(samples) - 4)
+    t = s - before
+    w0 = (t - 1.0) * (t - 2.0) * (t - 3.0) * (-1.0 / 6.0)
+    w1 = t * (t - 2.0) * (t - 3.0) * 0.5
+    w2 = t * (t - 1.0) * (t - 3.0) * -0.5
+    w3 = t * (t - 1.0) * (t - 2.0) * (1.0 / 6.0)
+    one = samples[before, block]
+    two = samples[before + 1, block]
+    three = samples[before + 2, block]
+    four = samples[before + 3, block]
+    for w in range(3 * TORQUE_LANES):
+        row[at + w] = w0 * one[w] + w1 * two[w] + w2 * three[w] + w3 * four[w]
+
+
+@inlined
+def _combine(row: Array1, h: float) -> None:
+    """Fill in the rows of a block of torques in a part of length h.
+
+    Args:
+        row: `TORQUE_LANES` numbers each: the limits; a, b and c at the start, in the middle and at the end of
+            the part. Then come three rows of a, of b and of c, which are filled in.
+        h: the length.
+    """
+    for w in range(TORQUE_LANES):
+        limit = row[w]
+        a0, b0, c0 = get(row, 1, TORQUE_LANES, w)
+        a1, b1, c1 = get(row, 4, TORQUE_LANES, w)
+        a2, b2, c2 = get(row, 7, TORQUE_LANES, w)
+        a1 += h * b1  # x has changed by 2 s u after a distance s
+        a2 += 2.0 * h * b2
+        c1 = 2.0 * c1 - 0.5 * (c0 + c2)
+        # Motions may take their share of what holding the arm leaves, and always a little.
+        held = max(abs(c0), abs(c1), abs(c2))
+        allowed = min(PATH_SPEED.effort_share * limit + (1.0 - PATH_SPEED.effort_share) * held, limit)
+        allowed = max(allowed, (1.0 + PATH_SPEED.least_extra) * held)
+        factor = limit / allowed
+        put(row, 10, TORQUE_LANES, w, scale((a0, 2.0 * a1 - 0.5 * (a0 + a2), a2), factor))
+        put(row, 13, TORQUE_LANES, w, scale((b0, 2.0 * b1 - 0.5 * (b0 + b2), b2), factor))
+        put(row, 16, TORQUE_LANES, w, scale((c0, c1, c2), factor))
+
+
+@compiled
+def fill_torque_rows(
+    indices: Ints1,
+    numbers: Array1,
+    offsets: Array2,
+    slopes: Array2,
+    start: Array1,
+    dt: float,
+    joint_limits: Array2,
+    parts: PathParts,
+    room: Array1,
+    limits: Array1,
+    held: Array1,
+) -> tuple[int, int]:
+    """Fill in the rows of torques that may come near their limits, by cubic interpolation between samples.
+
+    Args:
+        indices: as for `path_torques`.
+        numbers: likewise.
+        offsets: displacement of each waypoint from the first, (N + 1, nv), N > 0.
+        slopes: change of it per waypoint, (N + 1, nv).
+        start: joint positions at the start, (nv,).
+        dt: duration of a step.
+        joint_limits: of each joint the unit of motion, the largest step, its largest change between steps,
+            and the torque limit, (4, nv).
+        parts: the parts of the path.
+        room: for the rows of K parts, (9 K (2 nv + `TORQUE_LANES`),). Its beginning is filled with a, b and
+            c, but for a and b of accelerations, which `find_speed_profile` fills in. Torques come after them.
+        limits: filled with the limits of all rows, (2 nv,).
+        held: filled with the largest torque of each joint that holds the arm, (nv,).
+
+    Returns:
+        Number of limits, and of rows for which a, b and c have room in each part.
+    """
+    joints = len(start)
+    pieces = len(offsets) - 1
+    units = joint_limits[0]
+    bound = joint_limits[1]
+    brake = joint_limits[2]
+    limit = joint_limits[3]
+    per_unit = 1.0 / units
+    farthest = 0.0
+    turns = 0.0
+    for i in range(pieces):
+        turn = 0.0
+        for j in range(joints):
+            moved = abs(offsets[i + 1, j] - offsets[i, j])
+            farthest = max(farthest, moved)
+            turn += moved * per_unit[j]
+        turns = max(turns, turn)
+    last = pieces * max(int(np.ceil(turns / PATH_SPEED.sampled_turn)), 1)
+    last = max(last, PATH_SPEED.least_samples)
+    shape = (last + 1, joints)
+    samples = TorqueSamples(np.empty(shape), np.empty(shape), np.empty(shape))
+    path_torques(indices, numbers, offsets, slopes, start, dt, samples)
+    held[:] = 0.0
+    hardest = np.zeros(joints)
+    for k in range(last + 1):
+        for j in range(joints):
+            held[j] = max(held[j], abs(samples.c[k, j]))
+            hardest[j] = max(hardest[j], abs(samples.a[k, j]))
+    factor = farthest / max(hardest.max(), 1e-300)  # to the scale of accelerations
+    binding = np.empty(joints, dtype=np.int64)
+    count = _find_binding(offsets, slopes, samples, bound, brake, limit, binding)
+    blocks = (count + TORQUE_LANES - 1) // TORQUE_LANES
+    packed = np.zeros((last + 1, blocks, 3 * TORQUE_LANES))
+    work = np.ones((blocks, 19 * TORQUE_LANES))
+    width = joints + blocks * TORQUE_LANES
+    every = room[: 9 * len(parts.piece) * width].reshape((3, len(parts.piece), 3, width))
+    a = every[0]
+    b = every[1]
+    c = every[2]
+    limits[:joints] = brake
+    for i in range(count):
+        j = binding[i]
+        block = i // TORQUE_LANES
+        w = i % TORQUE_LANES
+        work[block, w] = limits[joints + i] = factor * limit[j]
+        for k in range(last + 1):
+            packed[k, block, w] = factor * samples.a[k, j]
+            packed[k, block, TORQUE_LANES + w] = factor * samples.b[k, j]
+            packed[k, block, 2 * TORQUE_LANES + w] = factor * samples.c[k, j]
+    for block in range(blocks):
+        _between(packed, block, 0.0, work[block], 7 * TORQUE_LANES)
+    per_piece = last / pieces
     for k in range(len(parts.piece)):
         piece = parts.piece[k]
         h = 1.0 / (parts.first[piece + 1] - parts.first[piece])
         part = k - parts.first[piece]
-        here[0] = here[2]
-        rows.c[k, :, :first] = 0.0
-        _between(every, (piece + (part + 0.5) * h) * per_piece, here[1])
-        _between(every, (piece + (part + 1.0) * h) * per_piece, here[2])
-        for j in range(nv):
-            b0 = here[0, nv + j]
-            b1 = here[1, nv + j]
-            b2 = here[2, nv + j]
-            c0 = here[0, 2 * nv + j]
-            c2 = here[2, 2 * nv + j]
-            c1 = 2.0 * here[1, 2 * nv + j] - 0.5 * (c0 + c2)
-            a0 = here[0, j]
-            a1 = here[1, j] + h * b1  # x has changed by 2 s u after a distance s
-            a2 = here[2, j] + 2.0 * h * b2
-            # Motions may take their share of what holding the arm leaves, and always a little.
-            limit = rows.limit[first + j]
-            held = largest * max(abs(c0), abs(c1), abs(c2))
-            allowed = min(share * limit + (1.0 - share) * held, limit)
-            allowed = max(allowed, (1.0 + PATH_SPEED.least_extra) * held)
-            factor = largest * limit / allowed if limit < np.inf else largest
-            rows.a[k, 0, first + j] = factor * a0
-            rows.b[k, 0, first + j] = factor * b0
-            rows.c[k, 0, first + j] = factor * c0
-            rows.a[k, 1, first + j] = factor * (2.0 * a1 - 0.5 * (a0 + a2))
-            rows.b[k, 1, first + j] = factor * (2.0 * b1 - 0.5 * (b0 + b2))
-            rows.c[k, 1, first + j] = factor * c1
-            rows.a[k, 2, first + j] = factor * a2
-            rows.b[k, 2, first + j] = factor * b2
-            rows.c[k, 2, first + j] = factor * c2
-
-
-@subkernel
-def _between(samples: Array2, s: float, filled: Array1) -> None:
-    """Interpolate between samples, (s, n), by a cubic polynomial at a position in [0, s - 1]; fills (n,)."""
-    before = min(max(int(s) - 1, 0), len(samples) - 4)
-    t = s - before
-    w0 = -(t - 1.0) * (t - 2.0) * (t - 3.0) / 6.0
-    w1 = t * (t - 2.0) * (t - 3.0) / 2.0
-    w2 = -t * (t - 1.0) * (t - 3.0) / 2.0
-    w3 = t * (t - 1.0) * (t - 2.0) / 6.0
-    near = samples[before : before + 4]
-    for j in range(len(filled)):
-        filled[j] = w0 * near[0, j] + w1 * near[1, j] + w2 * near[2, j] + w3 * near[3, j]
+        c[k, :, :joints] = 0.0
+        for block in range(blocks):
+            row = work[block]
+            for w in range(3 * TORQUE_LANES):
+                row[TORQUE_LANES + w] = row[7 * TORQUE_LANES + w]
+            _between(packed, block, (piece + (part + 0.5) * h) * per_piece, row, 4 * TORQUE_LANES)
+            _between(packed, block, (piece + (part + 1.0) * h) * per_piece, row, 7 * TORQUE_LANES)
+            _combine(row, h)
+            at = joints + block * TORQUE_LANES
+            for i in range(3):
+                for w in range(TORQUE_LANES):
+                    a[k, i, at + w] = row[(10 + i) * TORQUE_LANES + w]
+                for w in range(TORQUE_LANES):
+                    b[k, i, at + w] = row[(13 + i) * TORQUE_LANES + w]
+                for w in range(TORQUE_LANES):
+                    c[k, i, at + w] = row[(16 + i) * TORQUE_LANES + w]
+    return joints + count, width
 
 
 @subkernel
@@ -266,7 +432,7 @@ def _acceleration_range(
     return low, high, low_slope, high_slope
 
 
-@subkernel
+@inlined
 def _are_kept(rows: ProfileRows, begin: int, part: int, u: float, x: float) -> bool:
     """Check whether the quantities from `begin` on are within their limits."""
     exceeded = 0

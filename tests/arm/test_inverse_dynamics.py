@@ -13,7 +13,9 @@ from sampling import seeds
 from scipy.interpolate import CubicHermiteSpline
 
 import pinposture as pp
+from pinposture import kernels
 from pinposture.errors import InvalidValue, WeightUnknown
+from pinposture.kernels.arrays import TorqueSamples
 
 SLIDE = """<robot name="lift">
   <link name="base"/>
@@ -183,19 +185,24 @@ def test_torques_of_steps_are_those_of_their_mean_speed_where_they_meet(make) ->
         np.testing.assert_allclose(loads.held, max(held), rtol=1e-12, atol=1e-10)
 
 
-def test_torques_along_a_path_are_those_of_its_motion() -> None:
-    arm = template_arm("RyRz", 4).with_payload(0.3)
+@each_arm
+def test_torques_along_a_path_are_those_of_its_motion(make) -> None:
+    arm = make()
     rng = np.random.default_rng(5)
     start = rng.normal(size=arm.nv)
     offsets, slopes = rng.normal(size=(2, 4, arm.nv))
     dt = 0.1
-    found = arm.dynamics.path_torques(start, offsets, slopes, samples=12, dt=dt)
+    count = 12
+    found = TorqueSamples(*np.empty((3, count, arm.nv)))
+    dynamics = arm.dynamics
+    kernels.path_torques(dynamics.indices, dynamics.numbers, offsets, slopes, start, dt, found)
     curve = CubicHermiteSpline(np.arange(4), start + offsets, slopes)
-    places = np.linspace(0.0, 3.0, 12)
-    speed = rng.uniform(0.5, 2.0, (len(places), 1))
-    change = rng.normal(size=(len(places), 1))
+    places = np.linspace(0.0, 3.0, count)
+    speed = rng.uniform(0.5, 2.0, (count, 1))
+    change = rng.normal(size=(count, 1))
     q, first, second = (curve(places, order) for order in range(3))
-    expected = arm.inverse_dynamics(q, first * speed / dt, (first * change + second * speed**2) / dt**2)
+    rates = first * speed / dt
+    expected = dynamics.inverse_dynamics(q, rates, (first * change + second * speed**2) / dt**2)
     size = float(np.abs(expected).max())
     np.testing.assert_allclose(found.a * change + found.b * speed**2 + found.c, expected, atol=1e-12 * size)
 

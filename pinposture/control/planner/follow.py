@@ -259,7 +259,7 @@ class PathProgress(NamedTuple):
         if not self.can_stop(state):
             return None
         steps = stopping_on_path(self)
-        if torques.largest_share(steps) <= 1.0:
+        if torques.judged(steps).share <= 1.0:
             return steps
         ahead = self.ahead
         if ahead is None or ahead.stopping is None:
@@ -541,7 +541,7 @@ def _within_torques(progress: PathProgress, ahead: StepsAhead, torques: StepTorq
     steps = ahead.dq[: len(ahead.s)]
     ends = [progress.s, *ahead.s]
     stopping = stopping_on_path(progress._replace(s=ends[-1], speed=ends[-1] - ends[-2]))
-    kept = torques.largest_share(np.concatenate([steps, stopping])) <= 1.0
+    kept = torques.judged(np.concatenate([steps, stopping])).share <= 1.0
     return ahead._replace(stopping=stopping) if kept else ahead._replace(s=[])
 
 

@@ -18,7 +18,7 @@ from pinposture.collision import Scene
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
-from pinposture.kernels.arrays import PathParts, ProfileRows, TimedPathArrays
+from pinposture.kernels.arrays import TORQUE_LANES, PathParts, ProfileRows, TimedPathArrays
 from pinposture.units import length_text
 
 Array = NDArray[np.float64]
@@ -40,22 +40,8 @@ class PathSettings(NamedTuple):
     acceleration_share: float = 0.97
     """The same of the acceleration limits."""
 
-    effort_share: float = 0.97
-    """The same of what holding the arm leaves of the torque limits. With 0.98 some steps of
-    `benchmarks.peers.durations` took 0.2 % more than the limit; motions were 0.3 % shorter in the
-    median. With a share of the whole torque limit they were 1.2 % longer, and up to 3 %, where holding
-    takes most of it."""
-
     held_share: float = 0.98
     """Share of a torque limit that holding the arm may take on a path with `retime(effort=True)`."""
-
-    sampled_turn: float = 3.0
-    """Joint motion between samples of torques, the sum over joints, in `Arm.joint_units`."""
-
-    least_samples: int = 8
-    """Least number of these samples on a path. All waypoints are samples, as the bends of a path may
-    change there. Of 120 paths of 40 and 100 joints no step takes over 0.1 % more torque than with four
-    times as many."""
 
     least_parts: int = 128
     """Smallest number of parts of a path with constant acceleration each. Half of it lengthened eight
@@ -378,11 +364,10 @@ class SpeedProfile:
 
 def _divide_ends(counts: NDArray[np.intp]) -> None:
     """Divide the outer pieces of a path into more parts, (N,)."""
-    outer = min(len(PATH.finer_ends), len(counts))
-    finer = np.array(PATH.finer_ends[:outer])
     most = int(counts[0])
-    counts[:outer] = most * finer
-    counts[::-1][:outer] = np.maximum(counts[::-1][:outer], most * finer)
+    for i, finer in enumerate(PATH.finer_ends[: len(counts)]):
+        counts[i] = max(counts[i], most * finer)
+        counts[-1 - i] = max(counts[-1 - i], most * finer)
 
 
 def torque_rows(
@@ -392,8 +377,9 @@ def torque_rows(
 
     On the path, torques are M q' u + (M q'' + C q') x + g, with the mass matrix M, the Coriolis matrix C at
     the joint velocity q', and gravity g. They are sampled at waypoints, and where joints have moved by
-    at most `PATH.sampled_turn` in all, and cubic in between. Dry friction, and viscous friction at the
-    velocity limit, count as if they always opposed the motors.
+    at most `PATH_SPEED.sampled_turn` in all, and cubic in between. Dry friction, and viscous friction at the
+    velocity limit, count as if they always opposed the motors. Joints have no rows if their torques stay far
+    below their limits in any motion on the path.
 
     Args:
         path: the path.
@@ -411,27 +397,33 @@ def torque_rows(
     dt = bounds.dt
     if dt is None:
         raise InvalidValue("limits.dt", None, "a cycle time, as torques depend on it")
-    moved = np.abs(np.diff(path.offsets, axis=0))
-    pieces = len(moved)
-    turns = (moved @ (1.0 / arm.joint_units)).max()
-    sections = max(int(np.ceil(turns / PATH.sampled_turn)), 1)
-    sampled = max(pieces * sections, PATH.least_samples)
-    samples = arm.dynamics.path_torques(path.positions, path.offsets, path.slopes, samples=sampled + 1, dt=dt)
     limit = effort - _friction(arm, bounds)
+    held = np.empty(arm.nv)
+    limits = np.empty(2 * arm.nv)
+    count = len(parts.piece)
+    # In one block: several would be given back to the system, and cleared by it for the next path.
+    room = np.empty(9 * count * (2 * arm.nv + TORQUE_LANES))
+    used, width = kernels.fill_torque_rows(
+        arm.dynamics.indices,
+        arm.dynamics.numbers,
+        path.offsets,
+        path.slopes,
+        path.positions,
+        dt,
+        np.array([arm.joint_units, bounds.bound, brake, limit]),
+        parts,
+        room,
+        limits,
+        held,
+    )
     if strict:
-        _require_holdable(arm, np.abs(samples.c).max(axis=0), PATH.held_share * limit)
+        _require_holdable(arm, held, PATH.held_share * limit)
     least = int(limit.argmin())
     if limit[least] <= 0.0:
         allowed = f"more than the friction of joint {arm.joint_names[least]!r} takes"
         raise InvalidValue("torque limit", float(effort[least]), allowed)
-    # At the scale of accelerations.
-    largest = float(moved.max()) / max(float(np.abs(samples.a).max()), 1e-300)
-    shape = (len(parts.piece), 3, 2 * arm.nv)
-    # In one block: several would be given back to the system, and cleared by it for the next path.
-    a, b, c = np.empty((3, *shape))
-    rows = ProfileRows(a, b, c, limit=np.append(brake, largest * limit))
-    kernels.fill_torque_rows(samples, parts, largest, PATH.effort_share, rows, arm.nv)
-    return rows
+    a, b, c = room[: 9 * count * width].reshape(3, count, 3, width)
+    return ProfileRows(a, b, c, limits[:used])
 
 
 def _friction(arm: Arm, bounds: JointBounds) -> Array:

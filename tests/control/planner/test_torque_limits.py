@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -10,13 +11,14 @@ import pytest
 from arm.test_inverse_dynamics import SLIDE
 from arms import template_arm
 from sampling import seeds
+from scipy.interpolate import CubicSpline
 
 import pinposture as pp
 from benchmarks.studies import torque_limits
 from pinposture.arm import smooth_configuration
-from pinposture.control.planner.path import PATH
 from pinposture.control.torque_limits import TORQUE_LIMIT, StepTorques
 from pinposture.errors import InvalidValue, WeightUnknown
+from pinposture.kernels.path_following import PATH_SPEED
 
 HINGE = """<robot name="door">
   <link name="frame"/>
@@ -55,7 +57,7 @@ def share_of_steps(arm: pp.Arm, q: np.ndarray, moves: np.ndarray, dt: float) -> 
 def test_a_door_is_opened_in_the_shortest_time(angle: float) -> None:
     arm = pp.Arm.load(HINGE)
     timed = timed_between(arm, [0.0], [angle], pp.Limits(step=None, velocity=100.0, dt=1e-3))
-    acceleration = PATH.effort_share * 2.0 / (0.16 + 3.0 * 0.4**2)
+    acceleration = PATH_SPEED.effort_share * 2.0 / (0.16 + 3.0 * 0.4**2)
     assert timed.duration == pytest.approx(2.0 * np.sqrt(angle / acceleration), rel=0.01, abs=0.002)
 
 
@@ -64,7 +66,7 @@ def test_a_lift_rises_and_sinks_in_the_shortest_time(distance: float) -> None:
     """It brakes with gravity as it rises, and against it as it sinks."""
     arm = pp.Arm.load(SLIDE, split=1)
     timed = timed_between(arm, [0.0], [distance], pp.Limits(step=None, velocity=100.0, dt=1e-3))
-    reserve = (1.0 - PATH.effort_share) * (40.0 / 2.5 - 9.81)  # of what holding it leaves
+    reserve = (1.0 - PATH_SPEED.effort_share) * (40.0 / 2.5 - 9.81)  # of what holding it leaves
     least = 40.0 / 2.5 - reserve - 9.81
     most = 40.0 / 2.5 - reserve + 9.81
     shortest = np.sqrt(2.0 * abs(distance) * (least + most) / (least * most))
@@ -96,6 +98,40 @@ def test_torques_keep_their_limits_on_timed_paths_and_where_they_are_followed(se
         assert len(followed) < 3000
     assert largest_share(arm, start, np.array(followed), dt) <= 1.0
     assert len(followed) <= 1.1 * len(timed.s) + 3
+
+
+@pytest.mark.parametrize("seed", seeds(20))
+def test_only_torques_that_come_near_their_limits_count(seed: int) -> None:
+    """Against motions at random places of a path, within limits of speed and acceleration."""
+    rng = np.random.default_rng(seed)
+    arm = template_arm("RyRz", int(rng.integers(2, 9)))
+    start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
+    dt = 0.01
+    speed = 2.0
+    acceleration = float(rng.choice([2.0, 20.0]))
+    limits = pp.Limits(step=None, velocity=speed, acceleration=acceleration, dt=dt)
+    path = pp.plan(arm.at(start), pp.Target.from_configuration(arm, goal), limits=limits)
+    curve = CubicSpline(np.arange(path.end + 1.0), path.positions + path.offsets, bc_type="natural")
+    data = arm.model.createData()
+    largest = np.zeros(arm.nv)
+    for place in rng.uniform(0.0, path.end, 100):
+        q, slope, bend = (curve(place, order) for order in range(3))
+        pace = rng.uniform(0.7, 1.0) * speed / np.abs(slope).max()  # [1/s]
+        pace = min(pace, np.sqrt(acceleration / max(np.abs(bend).max(), 1e-9)))
+        curved = bend * pace**2
+        change = float(((acceleration - np.abs(curved)) / np.abs(slope)).min())
+        for sign in (-1.0, 1.0):
+            torques = pin.rnea(arm.model, data, q, slope * pace, curved + sign * change * slope)
+            largest = np.maximum(largest, np.abs(torques))
+    for effort in largest * rng.choice([0.5, 0.9, 10.0], (5, arm.nv)):
+        timed = pp.retime(path, replace(limits, effort=effort))
+        assert timed.profile is not None
+        assert len(timed.profile.rows.limit) - arm.nv >= np.sum(effort < largest)
+    strong = pp.retime(path, replace(limits, effort=100.0 * largest))
+    unlimited = pp.retime(path, replace(limits, effort=np.full(arm.nv, np.inf)))
+    assert strong.profile is not None and unlimited.profile is not None
+    assert len(strong.profile.rows.limit) == arm.nv
+    np.testing.assert_array_equal(strong.profile.top, unlimited.profile.top)
 
 
 def test_friction_leaves_less_to_the_motor() -> None:
