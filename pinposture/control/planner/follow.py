@@ -76,6 +76,10 @@ class FollowingSettings(NamedTuple):
     negligible_error: float = 1e-13
     """Error that is attributed to rounding and not reduced further, in arm lengths."""
 
+    standing_share: float = 0.05
+    """Step beside resting obstacles, relative to the one towards its place on the path, below which an arm
+    off its path does not come back to it: steps become ever shorter."""
+
     most_lag: float = 0.5
     """Share of a step by which an arm may lag behind its position on the path and still count as making
     progress, however short the step that its slowest joint allows."""
@@ -835,6 +839,9 @@ def step_along(
         solver = ChainSolver(objective, state)
         solution = solve_posture(solver, solver.covered(planned), objective.mu**2, planned, constraints)
         x = np.clip(planned, constraints.lower, constraints.upper) if solution.x is None else solution.x
+        stands = s <= here and float(x @ x) <= FOLLOWING.standing_share**2 * float(planned @ planned)
+        if stands and avoidance is not None and avoidance.still:
+            progress = progress._replace(idle_travel=np.inf)
         return CandidateStep(objective.displacement(x), progress, solution)
     step = _bend_to_tasks(progress, dq, constraints, tasks)
     if tasks is not None and proposal.rest is not None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import template_arm
 from planner_runs import arm_called, check_limits
 from scipy.optimize import least_squares, minimize
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.collision import CollisionModel, Scene, Sphere
 from pinposture.control.planner.follow import FOLLOWING, PathProgress
 from pinposture.control.tasks import EndEffector
@@ -204,3 +208,36 @@ def test_free_steps_do_not_make_up_for_steps_that_are_held_back() -> None:
     assert progress.idle_travel == 0.1
     progress = progress.moved_to(1.1 * share, travel=0.05, held_back=False)
     assert progress.idle_travel == 0.0
+
+
+@pytest.mark.long
+def test_beside_obstacles_an_arm_off_its_path_does_not_stand_before_it_plans_anew() -> None:
+    """It moves when the target jumps, so that it leaves its path where balls leave it half a millimetre."""
+    arm = template_arm("RyRz", 8)
+    rng = np.random.default_rng(3)
+    goal = smooth_configuration(arm, rng, 0.6)
+    points = arm.at(goal).points
+    radius = 0.08 * arm.length
+    balls = {}
+    for name in "abcd":
+        point = points[rng.integers(3, 8)]
+        away = rng.normal(size=3)
+        balls[name] = Sphere(point + (radius + 0.04 * arm.length) * away / np.linalg.norm(away), radius)
+    scene = Scene(balls, margin=0.01 * arm.length, self_collision=False)
+    room = CollisionModel(arm, scene).minimum(goal).distance - 0.0105 * arm.length
+    balls = {name: Sphere(ball.center, ball.radius + room) for name, ball in balls.items()}
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
+    tracker = pp.Tracker(arm, limits=limits, scene=replace(scene, obstacles=balls))
+    tracker.update(pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.6)))
+    q = arm.straight()
+    slow = 0
+    for cycle in range(400):
+        if cycle == 25:
+            tracker.update(pp.Target.from_configuration(arm, goal))
+        dq = tracker.step(q)
+        q = tracker.command
+        slow += cycle > 30 and bool(np.abs(dq).max() < 1e-3)
+        if tracker.report.status == "converged":
+            break
+    assert tracker.report.status == "converged"
+    assert slow < 0.3 / limits.dt
