@@ -634,30 +634,6 @@ def next_path_speed(
     return min(max(fastest, min(rate - max(loss, before - wanted), wanted + rate)), left)
 
 
-@compiled
-def find_stop(path: TimedPathArrays, s: float, speed: float, ends: Array1) -> int:
-    """Find the ends of the steps that stop an arm on a path, as fast as its limits allow.
-
-    Args:
-        path: the path.
-        s: where the arm is, in waypoints.
-        speed: number of waypoints in its last step.
-        ends: filled with that position, and the ends of the steps, in waypoints.
-
-    Returns:
-        Number of ends that are filled.
-    """
-    rest = np.zeros_like(path.top)
-    ends[0] = s
-    count = 1
-    while speed > 0.0 and count < len(ends):
-        here = ends[count - 1]
-        speed = next_path_speed(here, speed, path.small, path.most, path.parts, path.rows, rest)
-        ends[count] = here + max(speed, 0.0)
-        count += 1
-    return count
-
-
 @subkernel
 def _stoppable_step(room: float, brake: float) -> float:
     """Return the largest step from which a joint can still stop within its room; g in `control.limits`."""
@@ -905,6 +881,36 @@ def smooth_offsets(offsets: Array2, slopes: Array2, s: Array1, filled: Array2) -
     """
     for i in range(len(s)):
         _smooth_offset(offsets, slopes, s[i], filled[i])
+
+
+@compiled
+def find_stop(path: TimedPathArrays, s: float, speed: float, most: int) -> Array2:
+    """Return the steps that stop an arm on a path, (k, nv), as fast as its limits allow.
+
+    Args:
+        path: the path.
+        s: where the arm is, in waypoints.
+        speed: number of waypoints in its last step.
+        most: largest number of steps.
+    """
+    rest = np.zeros_like(path.top)
+    ends = np.empty(most + 1)
+    ends[0] = s
+    count = 0
+    while speed > 0.0 and count < most:
+        speed = next_path_speed(ends[count], speed, path.small, path.most, path.parts, path.rows, rest)
+        count += 1
+        ends[count] = ends[count - 1] + max(speed, 0.0)
+    steps = np.empty((count, path.offsets.shape[1]))
+    before = np.empty(path.offsets.shape[1])
+    _smooth_offset(path.offsets, path.slopes, s, before)
+    for k in range(count):
+        _smooth_offset(path.offsets, path.slopes, ends[k + 1], steps[k])
+        for u in range(len(before)):
+            reached = steps[k, u]
+            steps[k, u] = reached - before[u]
+            before[u] = reached
+    return steps
 
 
 @compiled

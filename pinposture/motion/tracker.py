@@ -24,7 +24,7 @@ from pinposture._validation import (
 from pinposture.arm import Arm
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.collision.model import describe_distance
-from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
+from pinposture.control import Controller, Geodesic, GeodesicMemory, Limits, Step, controller_named
 from pinposture.control.controller import Memory
 from pinposture.control.limits import cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
@@ -776,7 +776,8 @@ class Tracker:
         period = cycle_of(self._limits)
         duration = min(max(passed, MIN_CYCLE * period), period)
         bounds = self._limits.for_arm(self.arm)
-        begins = None if self._feedback.positions is None else self._feedback.positions - dq
+        reached = self._feedback.positions
+        begins = None if reached is None or self._torques_kept(sent) else reached - dq
         for exceeded in self._rates.exceeded(sent, duration, bounds, begins):
             # Also while the jerk filter spreads such a step over later cycles, or the arm waits for a path.
             harder = self.scene is not None and exceeded.startswith("acceleration")
@@ -784,6 +785,14 @@ class Tracker:
             relaxed += (text,) * (text not in relaxed)
         failures = tuple(self._told_apart(failure) for failure in feedback.failures)
         return Report(status, reason, error, feedback.tracking_error, age, relaxed, step, failures=failures)
+
+    def _torques_kept(self, sent: Array) -> bool:
+        """Whether the controller has computed the torques of a step that was sent, (nv,), ahead."""
+        memory = self._loop.memory
+        if self._smoothing.active or not isinstance(memory, GeodesicMemory) or memory.progress is None:
+            return False
+        ahead = memory.progress.ahead
+        return ahead is not None and ahead.stopping is not None and np.array_equal(sent, memory.dq)
 
     def _told_apart(self, failure: JointFailure) -> JointFailure:
         """Return a failure of a joint, with its kind as torques tell it."""

@@ -262,7 +262,7 @@ class PathProgress(NamedTuple):
         """
         if not self.can_stop(state):
             return None
-        steps = stopping_on_path(self)
+        steps = stopping_on_path(self.timed, self.s, self.speed)
         if torques.judged(steps).share <= 1.0:
             return steps
         ahead = self.ahead
@@ -544,7 +544,7 @@ def _within_torques(progress: PathProgress, ahead: StepsAhead, torques: StepTorq
     """Return steps on a path with those that stop the arm after them; none if these exceed torque limits."""
     steps = ahead.dq[: len(ahead.s)]
     ends = [progress.s, *ahead.s]
-    stopping = stopping_on_path(progress._replace(s=ends[-1], speed=ends[-1] - ends[-2]))
+    stopping = stopping_on_path(progress.timed, ends[-1], ends[-1] - ends[-2])
     kept = torques.judged(np.concatenate([steps, stopping])).share <= 1.0
     return ahead._replace(stopping=stopping) if kept else ahead._replace(s=[])
 
@@ -714,11 +714,15 @@ def stop_on_path(
     return check_step(CandidateStep(dq, moved), state, bounds, step_bounds, avoidance, progress)
 
 
-def stopping_on_path(progress: PathProgress) -> Array:
-    """Return the steps that stop an arm on its path, as `stop_on_path` takes them, (k, nv) [rad or m]."""
-    ends = np.empty(CYCLES.most_stopping + 1)
-    count = kernels.find_stop(progress.timed.arrays, progress.s, progress.speed, ends)
-    return np.diff(progress.timed.path.smooth_offset(ends[:count]), axis=0)
+def stopping_on_path(timed: TimedPath, s: float, speed: float) -> Array:
+    """Return the steps that stop an arm on a path, as `stop_on_path` takes them, (k, nv) [rad or m].
+
+    Args:
+        timed: the path, with a profile.
+        s: position of the arm on it, in waypoints.
+        speed: motion along it in the last step, in waypoints.
+    """
+    return kernels.find_stop(timed.arrays, s, speed, CYCLES.most_stopping)
 
 
 def _clear_stop(
@@ -743,7 +747,7 @@ def _clear_stop(
     off = path.offset_of(state, moved.s) + dq - path.smooth_offset(moved.s)
     if np.any(np.abs(off) > ROUNDING * path.arm.joint_units):
         return None
-    stopping = stopping_on_path(moved)
+    stopping = stopping_on_path(moved.timed, moved.s, moved.speed)
     changes = np.diff(np.vstack([dq, stopping, np.zeros(len(dq))]), axis=0)
     if np.any(np.abs(changes) > brake * (1.0 + ROUNDING)):
         return None

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 import pinposture as pp
 from benchmarks.studies import torque_limits
 from pinposture.arm import smooth_configuration
+from pinposture.arm.dynamics import Dynamics
 from pinposture.control.torque_limits import TORQUE_LIMIT, StepTorques
 from pinposture.errors import InvalidValue, WeightUnknown
 from pinposture.kernels.path_following import PATH_SPEED
@@ -350,6 +351,32 @@ def test_a_jump_back_goes_on_along_the_path_that_the_arm_has_not_left() -> None:
             step.memory.progress.path.start is paths[0] if cycle else step.memory.progress.path.start
         )
     assert all(paths[1:])
+
+
+def test_torques_of_steps_on_a_path_are_computed_ahead(monkeypatch) -> None:
+    """By the controller, with those of the stop after them; not again for the report."""
+    arm = template_arm("RyRz", 4)
+    goal = np.full(arm.nv, 0.3)
+    effort = 2.0 * float(np.abs(arm.at(goal).gravity_torques).max())
+    limits = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.01, effort=effort)
+    tracker = pp.Tracker(arm, limits=limits)
+    tracker.update(pp.Target.from_configuration(arm, goal))
+    q = np.zeros(arm.nv)
+    computed = []
+    for name in ("inverse_dynamics", "step_loads"):
+        known = getattr(Dynamics, name)
+
+        def compute(*arguments, name=name, known=known):
+            computed.append(name)
+            return known(*arguments)
+
+        monkeypatch.setattr(Dynamics, name, compute)
+    for cycle in range(42):
+        if cycle == 10:
+            computed.clear()
+        q = q + tracker.step(q)
+    assert tracker.report.status == "moving"
+    assert computed == ["step_loads"] * 4
 
 
 def test_an_arm_that_can_hardly_be_held_does_not_swing() -> None:
