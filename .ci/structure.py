@@ -43,8 +43,8 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 229,  # 170
-    "definitions": 5453,
-    "constants": 458,
+    "definitions": 5445,
+    "constants": 400,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0

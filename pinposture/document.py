@@ -36,8 +36,6 @@ SUFFIXES = (".toml", ".json")
 MAX_NESTING = 20
 """Largest depth of nested tables and lists; three times that of a task file."""
 
-_TOML_ERROR = re.compile(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", re.DOTALL)
-
 
 def _parsed(path: Path, text: str) -> dict[str, Any]:
     try:
@@ -49,7 +47,7 @@ def _parsed(path: Path, text: str) -> dict[str, Any]:
         ) from None
     except ValueError as error:
         message = " ".join(str(error).split())
-        match = _TOML_ERROR.fullmatch(message)
+        match = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", message)
         # The line comes first, as in all other messages.
         raise FileError(path, f"{match[2] or 'end of the file'}: {match[1]}" if match else message) from error
     if not isinstance(values, dict):

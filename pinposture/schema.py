@@ -244,8 +244,6 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 )
 """Units by kind of quantity, with their values in SI units."""
 
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
-
 
 def read_quantity(value: object, *kinds: str) -> float:
     """Read a quantity in SI units.
@@ -263,7 +261,8 @@ def read_quantity(value: object, *kinds: str) -> float:
     allowed = f"a number in SI units, or text with one of the units {known}"
     if is_number(value):
         raise NotAllowed(value, allowed, hint=_beyond(value))
-    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    number_and_unit = r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*"
+    match = re.fullmatch(number_and_unit, value) if isinstance(value, str) else None
     if match is None:
         raise NotAllowed(value, allowed)
     unit = (match[2] or "").replace("**", "^").replace("²", "^2").replace(" ", "").replace("/s/s", "/s^2")

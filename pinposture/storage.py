@@ -24,6 +24,9 @@ else:
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
+"""Formats of a saved motion: complete, joints as a table and for ROS, plot, animation."""
+
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file atomically: as a draft next to its destination, which then replaces it.

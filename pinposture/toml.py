@@ -23,12 +23,6 @@ from pinposture.storage import parse_toml
 
 _BASIC = r'"(?:[^"\\\n]|\\.)*"'
 _LITERAL = r"'[^'\n]*'"
-_NAME = rf"(?:[A-Za-z0-9_-]+|{_BASIC}|{_LITERAL})"
-_KEY = re.compile(rf"{_NAME}(?:[ \t]*\.[ \t]*{_NAME})*")
-_STRING = re.compile(
-    r'"""(?:[^\\]|\\.)*?""""{0,2}' + r"|'''.*?''''{0,2}" + rf"|{_BASIC}|{_LITERAL}", re.DOTALL
-)
-_BARE = re.compile(r"[^,\]}#\n]*")
 _BLANK = re.compile(r"(?:\s|,|#[^\n]*)*")
 
 
@@ -102,7 +96,9 @@ class _Scanner:
         self._skip(_BLANK)
         begin = self._text[self._at]
         if begin not in "[{":
-            self._skip(_STRING if begin in "\"'" else _BARE)
+            bare = r"[^,\]}#\n]*"
+            string = r'"""(?:[^\\]|\\.)*?""""{0,2}' + r"|'''.*?''''{0,2}" + rf"|{_BASIC}|{_LITERAL}"
+            self._skip(re.compile(string, re.DOTALL) if begin in "\"'" else re.compile(bare))
             return
         self._at += 1
         self._skip(_BLANK)
@@ -119,7 +115,8 @@ class _Scanner:
 
     def _key(self) -> list[str]:
         begin = self._at
-        self._skip(_KEY)
+        name = rf"(?:[A-Za-z0-9_-]+|{_BASIC}|{_LITERAL})"
+        self._skip(re.compile(rf"{name}(?:[ \t]*\.[ \t]*{name})*"))
         table = parse_toml(f"{self._text[begin : self._at]} = 0")
         names = []
         while isinstance(table, dict):

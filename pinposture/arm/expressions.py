@@ -61,8 +61,6 @@ _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
 }
 _OWNERS = (str, dict, list, tuple, set, frozenset, int, float, complex)
 """Kinds of values whose methods expressions may call."""
-_BOUNDED = ("comb", "factorial", "load_yaml", "perm", "prod", "range", "round", "sum", "tokenize", "vars")
-"""Functions that are called after a look at their arguments."""
 
 
 class OutOfBounds(PostureError):
@@ -175,13 +173,25 @@ class Expressions:
             given: names and what they mean: functions, numbers, namespaces of these.
             namespace: class of the namespaces.
         """
+        checked = [
+            "comb",
+            "factorial",
+            "load_yaml",
+            "perm",
+            "prod",
+            "range",
+            "round",
+            "sum",
+            "tokenize",
+            "vars",
+        ]
         replaced: dict[str, Any] = {}
         for name, value in given.items():
             if isinstance(value, namespace):
                 replaced[name] = namespace()
                 dict.update(replaced[name], self.functions(value, namespace))
             else:
-                replaced[name] = partial(self._bounded, name, value) if name in _BOUNDED else value
+                replaced[name] = partial(self._bounded, name, value) if name in checked else value
         return replaced
 
     def _bounded(self, name: str, function: Callable[..., Any], *given: Any, **named: Any) -> Any:

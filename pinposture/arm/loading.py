@@ -56,7 +56,6 @@ SUSPECT = SuspectDescription()
 
 MULTI_DOF_JOINTS = ("floating", "planar")
 """Types of joints with several degrees of freedom."""
-_LINK_SUFFIX = "\n"  # no name in a description has one
 
 
 @dataclass(frozen=True)
@@ -282,15 +281,16 @@ def _lock_others(
         elif joint.nv == 1:
             reference[joint.idx_q : joint.idx_q + 2] = np.cos(positions[name]), np.sin(positions[name])
     # Pinocchio cannot reduce a model in which a link and a joint share a name.
+    suffix = "\n"  # no name in a description has one
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:
-            frame.name += _LINK_SUFFIX
+            frame.name += suffix
     try:
         reduced = pin.buildReducedModel(model, others, reference)
     except (ValueError, RuntimeError) as error:
         raise URDFError(description.source, "<robot>", f"cannot be reduced to one chain: {error}") from None
     for frame in reduced.frames:
-        frame.name = frame.name.removesuffix(_LINK_SUFFIX)
+        frame.name = frame.name.removesuffix(suffix)
     return reduced
 
 

@@ -28,7 +28,6 @@ MACROS = "http://www.ros.org/wiki/xacro"
 MOST_ELEMENTS = 100_000
 """Most elements to which macros may expand: xacro takes 2 s for 32,000, and minutes for 300,000."""
 
-_ARGUMENT = re.compile(r"""<xacro:arg\s[^<>]*?\bname\s*=\s*["']([^"']+)|\$\(arg\s+([^\s()]+)""")
 _PARAMETER = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'[^']*'|"[^"]*"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )  # a parameter of a macro as in xacro, whose own pattern takes time exponential in the length of a default
@@ -58,7 +57,8 @@ class Arguments(dict[str, str]):
 
     def look_through(self, text: str) -> None:
         """Add the names in a file to those that are asked for."""
-        for declared, used in _ARGUMENT.findall(text):
+        pattern = r"""<xacro:arg\s[^<>]*?\bname\s*=\s*["']([^"']+)|\$\(arg\s+([^\s()]+)"""
+        for declared, used in re.findall(pattern, text):
             self.asked[declared or used] = None
 
     def __missing__(self, name: str) -> str:

@@ -52,7 +52,6 @@ SAMPLES = 10
 REPORT = "the file is not used; please report it"
 
 _COMMENT = r"<!--(?:(?!-->).)*-->"
-_ROOT = re.compile(rf"(?:\s|<\?(?:(?!\?>).)*\?>|{_COMMENT}|<!DOCTYPE[^>]*>)*<mujoco", re.DOTALL)
 
 
 class MujocoMissing(PostureError, ImportError):
@@ -95,7 +94,8 @@ def no_log_file(mujoco: Any) -> Iterator[None]:
 
 def is_mjcf(text: str) -> bool:
     """Return whether the root element of XML is <mujoco>; URDF may contain such an element, too."""
-    return _ROOT.match(text.lstrip("\ufeff")) is not None
+    root = rf"(?:\s|<\?(?:(?!\?>).)*\?>|{_COMMENT}|<!DOCTYPE[^>]*>)*<mujoco"
+    return re.match(root, text.lstrip("\ufeff"), re.DOTALL) is not None
 
 
 def mjcf_to_urdf(source: str | Path, label: str) -> str:

@@ -37,9 +37,6 @@ from pinposture.arm.urdf import (
 from pinposture.errors import InvalidValue
 
 _UNIT_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
-_FULL_TURN = (-math.pi, math.pi)
-_NO_LIMITS = (-math.inf, math.inf)
 
 DENSITY = 1000.0
 """Density of every link [kg/m^3]."""
@@ -91,14 +88,16 @@ class JointSpec:
 
     def _check_limits(self) -> None:
         limits = (self.lower, self.upper)
+        full_turn = (-math.pi, math.pi)
+        no_limits = (-math.inf, math.inf)
         if self.type == "continuous":
-            if limits not in (_FULL_TURN, _NO_LIMITS):
+            if limits not in (full_turn, no_limits):
                 raise InvalidValue(
                     "limits of a continuous joint", limits, "none; a revolute joint has limits"
                 )
-            lower, upper = _NO_LIMITS
+            lower, upper = no_limits
         else:
-            if self.type == "prismatic" and limits == _FULL_TURN:
+            if self.type == "prismatic" and limits == full_turn:
                 raise InvalidValue("limits of a prismatic joint", None, "lower= and upper= [m], both given")
             lower = _number("lower", self.lower, "a finite number")
             upper = _number("upper", self.upper, "a finite number")
@@ -144,7 +143,7 @@ class ModuleTemplate:
     lead: float = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
+        if not isinstance(self.name, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", self.name):
             raise InvalidValue("template name", self.name, "letters, digits, _ - . and a letter or _ first")
         joints = _items(self.joints, "joints", "a sequence of JointSpec")
         if not joints or not all(isinstance(joint, JointSpec) for joint in joints):

@@ -33,19 +33,11 @@ Vector = tuple[float, float, float]
 MakeError = Callable[[str], URDFError]
 
 CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
-JOINT_TYPES = (*CHAIN_JOINTS, "fixed", "floating", "planar")
 
 URDF_TEXT = "URDF text"
 """What error messages call a description that is not from a file."""
 
 _BLANK = "\ufeff \t\r\n"
-_SPLIT_VECTOR = re.compile(
-    r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<\t\r\n]*[\t\r\n][^"<]*"|'[^'<\t\r\n]*[\t\r\n][^'<]*')"""
-)
-_INFINITE_ATTRIBUTE = re.compile(r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])""", re.I)
-# What Pinocchio accepts as a number; Python would also accept "1_0" and "inf".
-_NUMBER = re.compile(r"[ \t\r\n]*[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_INFINITE = re.compile(r"\+?inf(inity)?", re.IGNORECASE)
 # The numeric elements of a joint: required and optional attributes.
 _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "limit": (("effort", "velocity"), ("lower", "upper")),
@@ -65,12 +57,6 @@ ONCE: dict[str, tuple[str, ...]] = {
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of <inertia>: the upper triangle of a symmetric matrix, row by row."""
-# Attributes of the elements of <inertial>: number of values, their minimum, and a description.
-_INERTIAL = {
-    "mass": (("value",), 1, 0.0, "a finite number, 0 or more [kg]"),
-    "inertia": (MOMENTS, 1, -np.finfo(np.float64).max, "a finite number"),
-    "origin": (("xyz", "rpy"), 3, -np.finfo(np.float64).max, "three finite numbers"),
-}
 _SHAPES: Mapping[str, Mapping[str, int]] = MappingProxyType(
     {
         "sphere": {"radius": 1},
@@ -105,7 +91,7 @@ class JointDescription:
     """A joint of a robot description."""
 
     name: str  # its name
-    type: str  # one of `JOINT_TYPES`
+    type: str  # one of `CHAIN_JOINTS`, fixed, floating or planar
     parent: str  # the link before it
     child: str  # the link after it
     origin: Vector = _ORIGIN  # position of the joint in the frame of its parent link, (3,) [m]
@@ -235,8 +221,10 @@ def text_for_pinocchio(text: str) -> str:
     Each vector is put on one line, because Pinocchio splits vectors only at blanks; an infinite speed or
     effort becomes a huge number, because Pinocchio reads only digits.
     """
-    text = _SPLIT_VECTOR.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
-    return _INFINITE_ATTRIBUTE.sub(r"\g<1>1e300", text)
+    broken = r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<\t\r\n]*[\t\r\n][^"<]*"|'[^'<\t\r\n]*[\t\r\n][^'<]*')"""
+    text = re.sub(broken, lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
+    infinite = r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])"""
+    return re.sub(infinite, r"\g<1>1e300", text, flags=re.IGNORECASE)
 
 
 def _declares_document_type(text: str) -> bool:
@@ -268,9 +256,10 @@ def read_joint(element: Element, source: str) -> JointDescription:
     name = element.get("name", "")
     kind = element.get("type")
     fault = partial(URDFError, source, f"joint {name!r}")
-    if kind not in JOINT_TYPES:
+    joint_types = (*CHAIN_JOINTS, "fixed", "floating", "planar")
+    if kind not in joint_types:
         written = "not given" if kind is None else repr(kind)
-        raise fault(f"type is {written}; allowed: {', '.join(JOINT_TYPES)}")
+        raise fault(f"type is {written}; allowed: {', '.join(joint_types)}")
     if name == "universe" and kind != "fixed":
         raise fault("has the name that Pinocchio uses for the world; rename it")
     parent = _read_link(element, "parent", fault)
@@ -323,7 +312,9 @@ def _read_link(element: Element, role: str, fault: MakeError) -> str:
 
 def finite_numbers(words: Sequence[str]) -> list[float] | None:
     """Return the numbers that Pinocchio reads from words; None unless each is finite."""
-    numbers = list(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else [math.nan]
+    # Python would also accept "1_0" and "inf".
+    number = re.compile(r"[ \t\r\n]*[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+    numbers = list(map(float, words)) if all(map(number.fullmatch, words)) else [math.nan]
     return numbers if all(map(math.isfinite, numbers)) else None
 
 
@@ -374,7 +365,7 @@ def _read_part(part: Element, fault: MakeError) -> dict[str, float]:
     unlimited = [
         name
         for name in attributes
-        if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
+        if name in ("effort", "velocity") and re.fullmatch(r"\+?inf(inity)?", part.attrib[name], re.I)
     ]
     finite = [name for name in attributes if name not in unlimited]
     words = [part.attrib[name] for name in finite]
@@ -453,6 +444,12 @@ def read_inertials(text: str, source: str) -> dict[str, RigidBody]:
     Raises:
         URDFError: an invalid number, such as NaN or a negative mass, which Pinocchio accepts; names the link.
     """
+    # Attributes of the elements of <inertial>: number of values, their minimum, and a description.
+    inertial_parts = {
+        "mass": (("value",), 1, 0.0, "a finite number, 0 or more [kg]"),
+        "inertia": (MOMENTS, 1, -np.finfo(np.float64).max, "a finite number"),
+        "origin": (("xyz", "rpy"), 3, -np.finfo(np.float64).max, "three finite numbers"),
+    }
     bodies = {}
     for link in parse_xml(text, source).findall("link"):
         inertial = link.find("inertial")
@@ -460,7 +457,7 @@ def read_inertials(text: str, source: str) -> dict[str, RigidBody]:
             continue
         name = link.get("name", "")
         read: dict[str, list[float]] = {}
-        for tag, (attributes, size, least, allowed) in _INERTIAL.items():
+        for tag, (attributes, size, least, allowed) in inertial_parts.items():
             part = inertial.find(tag)
             if part is None and tag != "origin":
                 raise URDFError(source, f"link {name!r}", f"<inertial> has no <{tag}>")

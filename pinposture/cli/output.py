@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import typer
 
 from pinposture.errors import FileError, InvalidValue, PostureWarning
-from pinposture.storage import check_writable
+from pinposture.storage import RESULT_FORMATS, check_writable
 from pinposture.units import length_text
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def print_result(
 def check_directory(output: Path | None) -> None:
     """Raise an error for a directory that is not writable, or a new one with the suffix of a file."""
     if output is not None:
-        if output.suffix.lower()[1:] in FORMATS and not output.exists():
+        if output.suffix.lower()[1:] in RESULT_FORMATS and not output.exists():
             raise InvalidValue("--output", str(output), "a directory, in which files are saved")
         check_writable(output)
 
@@ -316,10 +316,6 @@ class FileNames(NamedTuple):
 FILES = FileNames()
 
 
-FORMATS = ("npz", "csv", "json", "png", "html")
-"""Formats of a saved motion: complete, joints as a table and for ROS, plot, animation."""
-
-
 def run_files(motion: Run, directory: Path) -> list[File]:
     """Return the files of a run in a directory."""
     from pinposture.motion import save
@@ -331,8 +327,8 @@ def run_files(motion: Run, directory: Path) -> list[File]:
     ]
 
 
-def motion_files(motion: Trajectory, directory: Path, formats: Sequence[str] = FORMATS) -> list[File]:
-    """Return the files of a motion in time in a directory, in some of `FORMATS`.
+def motion_files(motion: Trajectory, directory: Path, formats: Sequence[str] = RESULT_FORMATS) -> list[File]:
+    """Return the files of a motion in time in a directory, in some of `RESULT_FORMATS`.
 
     If the motion has faults, formats for robots are omitted, with a note on stderr.
     """

@@ -17,9 +17,6 @@ from pinposture.units import CONVERGED, length_text
 Array = NDArray[np.float64]
 
 
-ROWS = "three arrays: a matrix (r, nv) of finite numbers, and the bounds lower <= upper, (r,) each"
-
-
 class Constraint(Protocol):
     """Interface of constraints: quantities of the arm that stay between bounds.
 
@@ -118,12 +115,13 @@ def describe_violated(inequalities: Inequalities, length: float) -> tuple[str, .
 
 def _rows(constraint: Constraint, name: str, state: ArmState) -> tuple[Array, Array, Array]:
     what = f"{name}.rows(state)"
+    allowed = "three arrays: a matrix (r, nv) of finite numbers, and the bounds lower <= upper, (r,) each"
     sides = call_own(name, "rows(state)", constraint.rows, state)
     if not isinstance(sides, tuple) or len(sides) != 3:
-        raise InvalidValue(what, sides, ROWS)
+        raise InvalidValue(what, sides, allowed)
     matrix = finite_array(f"{what}, matrix", sides[0], (None, state.arm.nv))
-    lower = as_floats(f"{what}, lower", sides[1], ROWS)
-    upper = as_floats(f"{what}, upper", sides[2], ROWS)
+    lower = as_floats(f"{what}, lower", sides[1], allowed)
+    upper = as_floats(f"{what}, upper", sides[2], allowed)
     shape = (len(matrix),)
     if lower.shape != shape or upper.shape != shape:
         raise InvalidValue(f"{what}, bounds (shape)", (lower.shape, upper.shape), f"{shape} each")

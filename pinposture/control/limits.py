@@ -63,9 +63,6 @@ class CycleSettings(NamedTuple):
 
 CYCLES = CycleSettings()
 
-USUAL_STEP = 0.1
-"""Upper bound of the joint travel that a step counts as, whatever the limits allow [rad]."""
-
 
 @dataclass(frozen=True, eq=False)
 class JointBounds:
@@ -73,7 +70,7 @@ class JointBounds:
 
     Attributes:
         bound: largest |dq|, (nv,) [rad or m]; infinite where there is no limit.
-        travel: joint travel per step, median over the joints, at most `USUAL_STEP` [rad].
+        travel: joint travel per step, median over the joints, at most 0.1 [rad].
         position_limits: position limits with the margin, (2, nv) [rad or m].
         brake: largest change of dq between steps of a controller, (nv,) [rad or m]; None: no limit. It is
             `acceleration`, or less with a jerk limit (`JerkFilter`).
@@ -106,7 +103,7 @@ class JointBounds:
     @cached_property
     def braking(self) -> Array:
         """`brake` for kernels, empty without a limit."""
-        return _NO_BOUND if self.brake is None else self.brake
+        return np.empty(0) if self.brake is None else self.brake
 
     def before(self, previous: Array | None) -> Array:
         """Return the previous step for kernels, (nv,) [rad or m]; empty where it does not matter.
@@ -115,7 +112,7 @@ class JointBounds:
             previous: as in `step_bounds`.
         """
         if self.brake is None:
-            return _NO_BOUND
+            return np.empty(0)
         return np.zeros(len(self.bound)) if previous is None else np.array(previous, dtype=np.float64)
 
     def step_bounds(self, state: ArmState, previous: Array | None) -> StepBounds:
@@ -178,7 +175,8 @@ def joint_bounds(
                 change_of_change = np.maximum(_per_joint("jerk", jerk, arm) * dt**3, 1e-100)
                 brake = _smoothable(arm, change, change_of_change)
     position_limits = _position_limits(arm, position_margin)
-    travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
+    # A step without limits counts as a usual one [rad].
+    travel = min(0.1, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
     slack = CONVERGED * units
     return JointBounds(
@@ -565,7 +563,7 @@ class Limits(Declared):
         return bound
 
     def travel(self, state: ArmState) -> float:
-        """Return the joint travel that a step may cover, median over joints, at most `USUAL_STEP` [rad]."""
+        """Return the joint travel that a step may cover, median over joints, at most 0.1 [rad]."""
         return self.for_arm(arm_of(state)).travel
 
     def step_bounds(self, state: ArmState, previous: Array | None = None) -> StepBounds:
@@ -792,9 +790,6 @@ class SuspectLimits(NamedTuple):
 
 
 SUSPECT_LIMITS = SuspectLimits()
-
-
-_NO_BOUND = np.empty(0)
 
 
 def _warn_of_speed(arm: Arm, velocity: float | Array) -> None:

@@ -420,9 +420,6 @@ class Curve(Geometry):
         return type(self)(knots, share * points[1:] + (1.0 - share) * points[:-1], k)
 
 
-_HEADING = re.compile(r"([xyz])(?: *[\[(] *(m|cm|mm) *[\])]|_(m|cm|mm))?")
-
-
 def read_description(path: Path) -> dict[str, Any]:
     """Read a curve file into a description for `Curve.from_dict`.
 
@@ -455,7 +452,8 @@ def _table(path: Path, text: str) -> list[list[float]]:
         fields = _fields(content)
         values = [_coordinate(field) for field in fields]
         if not rows and headings is None and all(fields) and not any(value is not None for value in values):
-            matches = [_HEADING.fullmatch(field.strip("\"'").lower()) for field in fields]
+            pattern = re.compile(r"([xyz])(?: *[\[(] *(m|cm|mm) *[\])]|_(m|cm|mm))?")
+            matches = [pattern.fullmatch(field.strip("\"'").lower()) for field in fields]
             headings = [match[1] if match else "" for match in matches]
             units = {match[2] or match[3] or "m" for match in matches if match}
             if headings not in (["x", "y"], ["x", "y", "z"]) or len(units) > 1:

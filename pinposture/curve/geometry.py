@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 
 import numpy as np
@@ -132,6 +133,7 @@ def trim(whole: SplineArrays, begin: float, end: float) -> Parts:
     return spline.t[first - k : last + k + 1], spline.c[first - k : last], k
 
 
+@cache
 def _rule() -> Array:
     """Return the integration rule of `kernels.measure_length`, (N, 1 + N + N + 1) for N Gauss nodes."""
     n = 12
@@ -146,9 +148,6 @@ def _rule() -> Array:
     return np.column_stack([nodes, modes, integral @ powers])
 
 
-_RULE = _rule()
-
-
 def measure(spline: SplineArrays) -> LengthArrays:
     """Measure the arc length of a spline; raises CurveError if its velocity vanishes somewhere.
 
@@ -157,7 +156,7 @@ def measure(spline: SplineArrays) -> LengthArrays:
     """
     taylors = kernels.expand_spans(spline)
     refuse_standstill(spline, taylors)
-    return kernels.measure_length(spline, taylors, _RULE, TOLERANCES.length, rounding(spline.table[0]))
+    return kernels.measure_length(spline, taylors, _rule(), TOLERANCES.length, rounding(spline.table[0]))
 
 
 def rounding(coefficients: Array) -> float:

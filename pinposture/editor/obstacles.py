@@ -26,8 +26,6 @@ from pinposture.viz.body import surface
 Array = NDArray[np.float64]
 Change: TypeAlias = Callable[[Obstacle], Obstacle]
 
-COORDINATE_DIGITS = 6  # of positions and sizes that come from the mouse [m]
-
 
 # Relative to the length of the arm:
 class ObstacleHandling(NamedTuple):
@@ -47,6 +45,9 @@ class ObstacleHandling(NamedTuple):
 
     filter_time: float = 0.03
     """Time constant of the filter of its velocity [s]."""
+
+    digits: int = 6
+    """Digits of positions and sizes that come from the mouse [m]."""
 
 
 HANDLING = ObstacleHandling()
@@ -121,7 +122,7 @@ def at_pose(obstacle: Obstacle, pose: pin.SE3, scale: ArmScale) -> Obstacle:
 
 def own_shape(obstacle: Obstacle, scale: ArmScale) -> Obstacle:
     """Return an obstacle in its own frame, in which it changes only with its size: middle at the origin."""
-    return _rounded(at_pose(obstacle, pin.SE3.Identity(), scale), COORDINATE_DIGITS - 1)
+    return _rounded(at_pose(obstacle, pin.SE3.Identity(), scale), HANDLING.digits - 1)
 
 
 def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
@@ -137,7 +138,7 @@ def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
     return _rounded(displaced(obstacle, pin.SE3(np.eye(3), np.asarray(shift, dtype=np.float64))))
 
 
-def _rounded(obstacle: Obstacle, digits: int = COORDINATE_DIGITS) -> Obstacle:
+def _rounded(obstacle: Obstacle, digits: int = HANDLING.digits) -> Obstacle:
     """Return an obstacle with rounded positions, and directions without traces of rounding."""
     changes: dict[str, Any] = {}
     for name in (*POSITIONS, *DIRECTIONS):
@@ -197,7 +198,7 @@ def resized(obstacle: Obstacle, handle: str, position: ArrayLike, scale: ArmScal
         return _rounded(own.changed(point=pose.translation + height * pose.rotation[:, 2]))
     if handle == "radius":
         radius = max(float(-off @ pose.rotation[:, 0]) - gap, least)
-        return own.changed(radius=round(radius, COORDINATE_DIGITS))  # type: ignore[no-any-return]
+        return own.changed(radius=round(radius, HANDLING.digits))  # type: ignore[no-any-return]
     if handle in ("start", "end"):
         fixed = np.array(own.end if handle == "start" else own.start)
         axis_vector = np.asarray(position, dtype=np.float64) - fixed
@@ -210,7 +211,7 @@ def resized(obstacle: Obstacle, handle: str, position: ArrayLike, scale: ArmScal
     half = 0.5 * own.size[axis]
     edge = max(float(half - off @ direction) - gap, least)
     size = np.array(own.size)
-    size[axis] = round(edge, COORDINATE_DIGITS)
+    size[axis] = round(edge, HANDLING.digits)
     center = pose.translation + (half - 0.5 * edge) * direction  # the face across stays where it is
     return _rounded(own.changed(center=center, size=size))
 
@@ -252,7 +253,7 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
         low = float((path @ up).min()) - NEW.floor_depth * arm.length
         return HalfSpace(_as_vector(arm.chain.base + (low - arm.chain.base @ up) * up), _as_vector(up))
     axis = np.cross(*arm.plane) if arm.dimension == 2 else up
-    size = round(NEW.size * arm.length, COORDINATE_DIGITS)
+    size = round(NEW.size * arm.length, HANDLING.digits)
     tried: list[tuple[float, Obstacle]] = []
     for center in _candidate_positions(arm, path, up):
         obstacle: Obstacle = OBSTACLE_TYPES[kind].of_size(_as_vector(center), axis, size)
@@ -298,7 +299,7 @@ def _is_free(scene: Scene | None, center: Array, radius: float) -> bool:
 
 
 def _as_vector(position: Array) -> Vector:
-    x, y, z = (round(float(coordinate), COORDINATE_DIGITS) for coordinate in position)
+    x, y, z = (round(float(coordinate), HANDLING.digits) for coordinate in position)
     return x, y, z
 
 

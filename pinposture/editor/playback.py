@@ -24,8 +24,6 @@ from pinposture.task import Task
 
 Array = NDArray[np.float64]
 
-SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the playback, relative to real time
-
 
 class PreviewResult(NamedTuple):
     """What came of a task."""

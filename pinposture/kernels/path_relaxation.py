@@ -75,17 +75,16 @@ class RelaxationSettings(NamedTuple):
     """Largest number of conjugate gradient iterations for a step of all waypoints."""
 
     conjugate_residual: float = 0.1
-    """Residual at which these end with the first active set, in the norm of the preconditioner, relative to the
-    root of what the step gains. Relative to the residual of no step, they ended at once where rows of tasks of
-    large weight, which the preconditioner does not know, make that large: at 0.1 of the possible gain."""
+    """Residual at which these end with the first active set, in the norm of the preconditioner, relative to
+    the root of what the step gains. Relative to the residual of no step, they ended at once, with 0.1 of what
+    they could gain, where that is large by rows of tasks, which the preconditioner does not know."""
 
 
 RELAXATION = RelaxationSettings()
 
-SEGMENT_OF = (0, 8, 4, 12, 2, 6, 10, 14, 1, 3, 5, 7, 9, 11, 13, 15)
 LANE_OF = (0, 8, 4, 9, 2, 10, 5, 11, 1, 12, 6, 13, 3, 14, 7, 15)
-"""The segment of a path in each lane, and the lane of each segment. Those whose first waypoints are
-eliminated later come first, so that each elimination concerns the second half of the lanes left."""
+"""The lane of each segment of a path. Segments whose first waypoints are eliminated later come first, so that
+each elimination concerns the second half of the lanes left."""
 
 
 # The energy of a path (see `trajectory_optimization`) couples each waypoint only with its two neighbours.
@@ -618,8 +617,9 @@ def _factor_all(chains: Chunks, size: Size, factor: _Factor, loads: Loads) -> No
     bodies = np.zeros((n, COST * LANES))
     loaded = np.zeros(n, dtype=np.bool_)
     for chunk in range(chunks):
-        for lane in range(LANES):
-            i = SEGMENT_OF[lane] * chunks + chunk
+        for segment in range(LANES):
+            lane = LANE_OF[segment]
+            i = segment * chunks + chunk
             if not 0 < i < last:
                 continue
             for row in range(contacts.begins[i], contacts.begins[i + 1]):

@@ -16,7 +16,7 @@ from pinposture.units import CONVERGED
 
 
 class ArrivalTolerances(NamedTuple):
-    """When an arm has arrived at its target, by one measurement or by an average of many."""
+    """When an arm has arrived at its target, by one measurement or the average of many, or stands."""
 
     averaged_time: float = 0.25
     averaged_readings: int = 8
@@ -43,13 +43,6 @@ class ArrivalTolerances(NamedTuple):
     """Mean distance of the control points of the command from where it aims, in arm lengths, below which
     only the feedback moves it."""
 
-
-ARRIVAL = ArrivalTolerances()
-
-
-class RestTolerances(NamedTuple):
-    """When an arm rests, or stands although it is not at its target."""
-
     standing_drift: float = 0.02
     """Motion of the control points during an average that counts as standing, as a share of their distances
     from the targets: an arm that comes closer faster than that is there within some seconds."""
@@ -58,7 +51,7 @@ class RestTolerances(NamedTuple):
     """Time for which an arm that is not at its target stands before it counts as stalled [s]."""
 
 
-REST = RestTolerances()
+ARRIVAL = ArrivalTolerances()
 
 
 class StallTolerances(NamedTuple):
@@ -195,7 +188,7 @@ class Arrival:
             approaches = off < ARRIVAL.approach * self._off
             self.arrived = off <= within and drift <= ARRIVAL.drift * within and not approaches
         self._off = off
-        most = ARRIVAL.drift * noise + REST.standing_drift * off
+        most = ARRIVAL.drift * noise + ARRIVAL.standing_drift * off
         still = drift <= (ARRIVAL.leaving * most if self.standing else most)
         self.standing = self.standing + self._time if still else 0.0
 

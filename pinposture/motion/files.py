@@ -171,8 +171,9 @@ class Format(NamedTuple):
 ARCHIVES: dict[str, Format] = {}
 """The formats by name; higher packages add theirs with `register`."""
 
-_MESSAGE = (write_ros_message, read_ros_message)
-_TEXT_FILES = {".csv": (write_table, read_table), ".json": _MESSAGE, ".yaml": _MESSAGE, ".yml": _MESSAGE}
+_TEXT_FILES = {".csv": (write_table, read_table)} | dict.fromkeys(
+    (".json", ".yaml", ".yml"), (write_ros_message, read_ros_message)
+)
 """Writers and readers of the text formats of joint trajectories."""
 
 _NOT_READ = {

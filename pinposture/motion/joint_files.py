@@ -72,8 +72,6 @@ TIME = "time [s]"
 PER_SECOND = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 """Kinds of columns of a joint, and what follows rad or m in their units."""
 
-_HEADING = re.compile(rf"(.+) ({'|'.join(PER_SECOND)})(?: \[([^\[\]]*)\])?")
-
 
 def write_table(trajectory: JointTrajectory, path: Path) -> None:
     """Write a table; numbers have enough digits to be read back exactly.
@@ -149,7 +147,7 @@ def _headings(
     units: dict[str, str] = {}
     for k, heading in enumerate(headings[1:], start=1):
         where = f"line {number}, column {k + 1}: {heading!r}"
-        match = _HEADING.fullmatch(heading)
+        match = re.fullmatch(rf"(.+) ({'|'.join(PER_SECOND)})(?: \[([^\[\]]*)\])?", heading)
         if match is None:
             kinds = ", ".join(PER_SECOND)
             raise FileError(path, f"{where}; allowed: name of a joint, one of {kinds}, [unit]")
@@ -187,15 +185,6 @@ def _number(path: Path, number: int, headings: Sequence[str], column: int, field
 
 
 # Tables of logs: columns of any kinds in any order, the time of any clock, and numbers may be missing.
-
-
-_IGNORED = ("velocity", "acceleration")
-_COLUMN = re.compile(rf"(.+?)[ _.](position|command|effort|{'|'.join(_IGNORED)})(?: ?\[([^\[\]]*)\])?")
-_PLAIN = re.compile(r"(.+?)(?: ?\[([^\[\]]*)\])?")
-_CLOCK = re.compile(
-    r"(?:header[./_])?(?:stamp[./_])?(time|timestamp|stamp|t|dt|sec|secs|nanosec|nsec|nsecs)(?: ?\[(\w+)\])?",
-    re.IGNORECASE,
-)
 
 
 class Columns(NamedTuple):
@@ -272,21 +261,24 @@ def _as_number(field: str) -> float | None:
 
 
 def _titled_columns(path: Path, headings: Sequence[str], table: Array, usual: str) -> Columns:
+    clock_names = "time|timestamp|stamp|t|dt|sec|secs|nanosec|nsec|nsecs"
+    clock_pattern = rf"(?:header[./_])?(?:stamp[./_])?({clock_names})(?: ?\[(\w+)\])?"
+    column_pattern = r"(.+?)[ _.](position|command|effort|velocity|acceleration)(?: ?\[([^\[\]]*)\])?"
     times = {None: 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     clocks: dict[str, Array] = {}
     tables: dict[tuple[str, str], Array] = {}
     angles: set[bool] = set()
     for k, heading in enumerate(headings):
         where = f"column {k + 1} ({heading})"
-        clock = _CLOCK.fullmatch(heading)
+        clock = re.fullmatch(clock_pattern, heading, re.IGNORECASE)
         if clock is not None:
             if clock[2] not in times:
                 raise FileError(path, f"{where}: unit {clock[2]!r}; allowed: s, ms, us, ns")
             clocks.setdefault(clock[1].lower(), times[clock[2]] * table[:, k])
             continue
-        match = _COLUMN.fullmatch(heading)
+        match = re.fullmatch(column_pattern, heading)
         joint, said, unit = match.groups() if match is not None else _plain(heading)
-        if said in _IGNORED:
+        if said in ("velocity", "acceleration"):
             continue
         kind = usual if said in (None, "position") else said
         units = (None, "", "N m", "Nm", "N") if kind == "effort" else (None, "", RADIAN, METRE, "deg")
@@ -305,7 +297,7 @@ def _titled_columns(path: Path, headings: Sequence[str], table: Array, usual: st
 
 def _plain(heading: str) -> tuple[str, None, str | None]:
     """Return the joint that a heading names alone, and its unit."""
-    match = _PLAIN.fullmatch(heading)
+    match = re.fullmatch(r"(.+?)(?: ?\[([^\[\]]*)\])?", heading)
     return (heading, None, None) if match is None else (match[1], None, match[2])
 
 

@@ -181,13 +181,9 @@ def track(
         if target.q is None and not isinstance(controller, Geodesic):
             reason += "; the target has no configuration: fit_points finds one, and Switching can then use it"
     if status == "max_steps":
-        reason += f"; {RAISE_STEPS} {CONTINUE}"
+        reason += f"; {RAISE_STEPS} continue"
     logger.info("%s: %s after %d steps: %s", controller.name, status, loop.record.steps, reason)
     return loop.record.run(arm, controller, limits, status, reason)
-
-
-CONTINUE = "continue"
-"""End of the advice on a run that is out of steps, as long as nobody knows how many are enough."""
 
 
 def name_enough_steps(run: Run, controller: Controller, again: Callable[[int], Run]) -> Run:
@@ -214,7 +210,7 @@ def name_enough_steps(run: Run, controller: Controller, again: Callable[[int], R
         advice = f"{RAISE_STEPS} more than {longer.steps}"
     else:
         advice = f"more steps do not help: after {longer.steps} it {ENDINGS[longer.status]}: {longer.reason}"
-    return replace(run, reason=run.reason.removesuffix(f"{RAISE_STEPS} {CONTINUE}") + advice)
+    return replace(run, reason=run.reason.removesuffix(f"{RAISE_STEPS} continue") + advice)
 
 
 def _goes_on_fast(controller: Controller, scene: Scene | None) -> bool:

@@ -32,7 +32,7 @@ from pinposture.control.smooth_steps import RateCheck, SmoothSteps
 from pinposture.control.tasks import Displaced
 from pinposture.control.torque_limits import find_overload
 from pinposture.errors import ControllerError, InvalidValue, PostureError
-from pinposture.motion.arrival import ARRIVAL, REST, STALL, Arrival, Blockage
+from pinposture.motion.arrival import ARRIVAL, STALL, Arrival, Blockage
 from pinposture.motion.deadline import NOT_DONE, DirectStep, PlannedStep, build_models
 from pinposture.motion.drive_response import DriveModel
 from pinposture.motion.feedback import FEEDBACK, Feedback, FeedbackState, JointFailure, read_start
@@ -846,7 +846,7 @@ class Tracker:
         A `reason` why the controller does not move it is known if the command cannot be there either.
         """
         positions = self._arrival.positions
-        if self._arrival.standing < REST.standing_time or self._target is None or positions is None:
+        if self._arrival.standing < ARRIVAL.standing_time or self._target is None or positions is None:
             return "moving", ""
         if reason and self._feedback.falls_short:
             return "stalled", reason

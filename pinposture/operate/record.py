@@ -35,9 +35,6 @@ MAP = "/map"
 FORMAT = 1
 """Version of the messages on /operation."""
 
-FLOAT32 = 7
-"""Numbers of single precision in a `foxglove.PointCloud`."""
-
 
 class Recorder:
     """Writes each cycle of an operation to a file, in a thread of its own.
@@ -133,6 +130,7 @@ class Recorder:
     def _cloud(self, cells: Cells, stamp: int) -> dict[str, Any]:
         """Return a map as a cloud of Foxglove."""
         seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+        float32 = 7  # type of single precision in a foxglove.PointCloud
         return {
             "timestamp": {"sec": seconds, "nsec": nanoseconds},
             "frame_id": world_frame(self._arm),
@@ -141,7 +139,7 @@ class Recorder:
                 "orientation": dict.fromkeys("xyz", 0.0) | {"w": 1.0},
             },
             "point_stride": 12,
-            "fields": [{"name": name, "offset": 4 * k, "type": FLOAT32} for k, name in enumerate("xyz")],
+            "fields": [{"name": name, "offset": 4 * k, "type": float32} for k, name in enumerate("xyz")],
             "data": b64encode(cells.points.astype("<f4").tobytes()).decode(),
         }
 

@@ -66,13 +66,13 @@ class CurveFitSettings(NamedTuple):
     look_ahead_samples: int = 64
     """Number of samples in this range."""
 
+    still: float = 1e-7
+    """Step at which a fit ends [rad, or arm lengths]. Without it, plans through keyframes take three times as
+    long, and joint positions differ by less than 1e-9."""
+
 
 CURVE_FIT = CurveFitSettings()
 
-
-STILL = 1e-7
-"""Step at which a fit ends [rad, or arm lengths]. Without it, plans through keyframes take three times as
-long, and joint positions differ by less than 1e-9."""
 
 FIT_STEPS = SearchSettings(
     good=0.0,
@@ -492,7 +492,7 @@ class _FitNear(NamedTuple):
         return Rating(0.0, 0.5 * float(state.residual @ state.residual + self.weight * (off @ off)))
 
     def is_solved(self, state: _EvaluatedFit, rating: Rating) -> bool:
-        return state.change <= STILL
+        return state.change <= CURVE_FIT.still
 
     def step(self, state: _EvaluatedFit, damping: float) -> _EvaluatedFit | None:
         x, residual, jacobian, _ = state

@@ -12,13 +12,6 @@ import numpy as np
 
 from pinposture.motion.ros import NANOSECONDS
 
-SAID_AGAIN = 10.0
-"""Time after which the same words are a new occurrence [s]. On a busy machine, a plan or a step that is not
-ready in time comes and goes several times a second."""
-
-NUMBER = r"(?<!\w)[-+]?\d[\d.]*(e[-+]?\d+)?"
-"""A number that is not in a name."""
-
 
 class CycleTimes:
     """Counts the cycles of a loop, those that it missed, and how late its commands are.
@@ -80,9 +73,11 @@ class Occurrences:
 
     def begin(self, words: str, now: float) -> bool:
         """Hear words at a time [s]; return whether an occurrence begins."""
-        kind = re.sub(NUMBER, "", words)
-        begun = now - self._heard.get(kind, -inf) > SAID_AGAIN
-        self._heard = {old: at for old, at in self._heard.items() if now - at <= SAID_AGAIN}
+        kind = re.sub(r"(?<!\w)[-+]?\d[\d.]*(e[-+]?\d+)?", "", words)  # without numbers that are no names
+        # On a busy machine, a plan or a step that is not ready in time comes and goes several times a second.
+        pause = 10.0
+        begun = now - self._heard.get(kind, -inf) > pause
+        self._heard = {old: at for old, at in self._heard.items() if now - at <= pause}
         self._heard[kind] = now
         return begun
 

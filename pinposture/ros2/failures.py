@@ -25,10 +25,6 @@ from pinposture.units import length_text
 
 Array = NDArray[np.float64]
 
-SLOWER = 4.0
-"""How many times longer a way out with a joint that has fallen takes than limits require: one that hangs
-swings if the arm is fast, and one that is weak has little torque left for accelerations."""
-
 POLLING = 0.05
 """Time between two looks whether an answer is there, or outdated [s]."""
 
@@ -124,7 +120,9 @@ def find_fallback(locked: Locked) -> Fallback:
     if way.path is None:
         return Fallback(error, None, way.reason)
     timed = retime(way.path, locked.limits)
-    dt = cycle_of(locked.limits) * (1.0 if fallen is None else SLOWER)
+    # A joint that hangs swings if the arm is fast; one that is weak has little torque left for accelerations.
+    slower = 1.0 if fallen is None else 4.0
+    dt = slower * cycle_of(locked.limits)
     return Fallback(error, JointTrajectory.from_configurations(arm, timed.configurations, dt), "")
 
 

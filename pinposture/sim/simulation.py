@@ -349,12 +349,6 @@ def _statistics(values: Array) -> dict[str, float]:
     return {"rms": _rms(values), "largest": float(values.max()), "end": float(values[-1])}
 
 
-_ADVICE_BY_FORMAT = {
-    "pinposture-run": "contains a run, not a simulation of it; simulate it with: pinposture simulate FILE",
-    "pinposture-motion": "contains a motion, not a simulation; simulate it with: pinposture simulate FILE",
-}
-
-
 def _check(simulation: Simulation) -> None:
     """Raise InvalidValue unless the parts of a simulation fit each other."""
     arm = simulation.arm
@@ -410,4 +404,17 @@ def _check_contacts(contacts: ContactHistory, rows: int) -> None:
         require_finite(name, array)
 
 
-register(Format("pinposture-simulation", 6, Simulation, "simulation", _check, _ADVICE_BY_FORMAT))
+register(
+    Format(
+        "pinposture-simulation",
+        6,
+        Simulation,
+        "simulation",
+        _check,
+        {
+            f"pinposture-{kind}": f"contains a {kind}, not a simulation; "
+            "simulate it with: pinposture simulate FILE"
+            for kind in ("run", "motion")
+        },
+    )
+)

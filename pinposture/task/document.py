@@ -40,7 +40,7 @@ from pinposture.schema import (
     refusing,
     shown,
 )
-from pinposture.storage import check_writable, relative, settled
+from pinposture.storage import RESULT_FORMATS, check_writable, relative, settled
 from pinposture.toml import TomlLayout, drop_defaults, toml_text
 
 Array = NDArray[np.float64]
@@ -276,9 +276,6 @@ def write_controller(controller: Controller, file: Path) -> dict[str, Any]:
 
 
 # Files.
-
-RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
-"""Formats in which the result of a task can be saved."""
 
 
 def read_formats(value: object, _: ValidationInfo) -> tuple[str, ...]:

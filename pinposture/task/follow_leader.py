@@ -372,6 +372,15 @@ class RoutePlacementSettings(NamedTuple):
     samples_per_link: int = 80
     """Samples of the route per mean link length, for the sequential placement."""
 
+    pieces_per_link: int = 8
+    """Pieces into which each link is divided, at whose ends distances from the route are measured."""
+
+    samples_per_arm: int = 4000
+    """Samples of the path per arm length for these distances."""
+
+    rows_per_chunk: int = 256
+    """Number of configurations whose distances are measured at a time."""
+
 
 ON_ROUTE = RoutePlacementSettings()
 
@@ -859,22 +868,6 @@ def _require_wider(radius: float, arm: Arm, scene: Scene | None) -> None:
         raise InvalidValue("pipe", radius, allowed)
 
 
-class DeviationSamples(NamedTuple):
-    """At how many points the distance of an arm from the path of its tip is measured."""
-
-    pieces_per_link: int = 8
-    """Pieces into which each link is divided; distances are measured at their ends."""
-
-    samples_per_arm: int = 4000
-    """Samples of the path per arm length."""
-
-    rows_per_chunk: int = 256
-    """Number of configurations whose distances are computed at a time."""
-
-
-DEVIATION = DeviationSamples()
-
-
 @dataclass(frozen=True, eq=False)
 class Deviation:
     """Distances of an arm from the path of its tip so far, including the straight line to the entry.
@@ -952,8 +945,8 @@ def path_deviation(
 def _deviation(route: Route, rows: Array) -> Deviation:
     """Return the distances of configurations, (N, nq), from a route."""
     chunks = [
-        _deviation_of_few(route, rows[first : first + DEVIATION.rows_per_chunk])
-        for first in range(0, len(rows), DEVIATION.rows_per_chunk)
+        _deviation_of_few(route, rows[first : first + ON_ROUTE.rows_per_chunk])
+        for first in range(0, len(rows), ON_ROUTE.rows_per_chunk)
     ]
     points = np.concatenate([chunk.points for chunk in chunks])
     body = np.concatenate([chunk.body for chunk in chunks])
@@ -995,7 +988,7 @@ def _stations(arm: Arm) -> list[int]:
 
 def _cut_links(stations: Array) -> tuple[Array, Array]:
     """Divide links into pieces: their ends (N, p, 3), and their arc lengths along the arm, (p,) [m]."""
-    shares = np.arange(1, DEVIATION.pieces_per_link + 1) / DEVIATION.pieces_per_link
+    shares = np.arange(1, ON_ROUTE.pieces_per_link + 1) / ON_ROUTE.pieces_per_link
     begins = stations[:, :-1, None]
     links = np.diff(stations, axis=1)[:, :, None]
     inner = (begins + shares[:, None] * links).reshape(len(stations), -1, 3)
@@ -1021,7 +1014,7 @@ def _travelled(route: Route, tips: Array, depths: Array) -> Array:
 def _distances(route: Route, points: Array, ends: Array) -> Array:
     """Return distances (N, p) [m] of points (N, p, 3) from the route up to an arc length, (N,) [m]."""
     curve = route.whole
-    count = max(int(np.ceil(DEVIATION.samples_per_arm * curve.length / route.fed.length)), 2)
+    count = max(int(np.ceil(ON_ROUTE.samples_per_arm * curve.length / route.fed.length)), 2)
     s = np.linspace(0.0, curve.length, count)
     samples = curve.at(s)
     flat = points.reshape(-1, 3)

@@ -485,6 +485,14 @@ class ResolvingSettings(NamedTuple):
     """Length of a curve that an arm with slides may leave uncovered without a warning, in module
     lengths."""
 
+    viscosity: float = 3e-3
+    """Cost of joint motion from one keyframe to the next relative to that of distances: root of the ratio,
+    for `typical_rows` rows. It restrains joints that hardly change the shape, such as those that roll a
+    nearly straight arm; others lag behind by a negligible amount."""
+
+    typical_rows: int = 400
+    """Rows from one keyframe to the next for which `viscosity` is given."""
+
 
 RESOLVING = ResolvingSettings()
 
@@ -737,21 +745,6 @@ def joints_misfit(arm: Arm, keyframe: Keyframe) -> str:
 # Joint positions for curves that change slightly from one row to the next.
 
 
-class RowCosts(NamedTuple):
-    """What motion from one row to the next costs."""
-
-    viscosity: float = 3e-3
-    """Cost of joint motion from one keyframe to the next relative to that of distances: root of the ratio,
-    for `typical_rows` rows. It restrains joints that hardly change the shape, such as those that roll a
-    nearly straight arm; others lag behind by a negligible amount."""
-
-    typical_rows: int = 400
-    """Rows from one keyframe to the next for which `viscosity` is given."""
-
-
-ROW_COSTS = RowCosts()
-
-
 class SequentialFollower:
     """Sequential placement on curves that begin at or near the base of the arm."""
 
@@ -819,7 +812,7 @@ class LeastSquaresFollower:
         filled = np.empty((count, len(first)))
         filled[0] = first
         jacobian = problems[0].evaluate(curves[0], first)[1]
-        cost = ROW_COSTS.viscosity**2 * count / ROW_COSTS.typical_rows
+        cost = RESOLVING.viscosity**2 * count / RESOLVING.typical_rows
         weight = cost * self.problem.stiffness(jacobian.T @ jacobian)
         for i in range(1, count):
             before = filled[i - 1]

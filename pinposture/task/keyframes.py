@@ -98,6 +98,22 @@ class TransitionSettings(NamedTuple):
     cost_rows: int = 33
     """Number of rows at which a transition to other configurations is tried, and its cost computed."""
 
+    peak_speed_ratio: float = 1.9
+    """Estimated ratio of the largest to the mean speed from one keyframe to the next."""
+
+    min_rows: int = 16
+    max_rows: int = 200_000
+    """Smallest number of rows from one keyframe to the next, if that many rows in all suffice for it."""
+
+    enough_rows: int = 10_000
+    enough_rows_per_cycle: int = 4
+    """Numbers of rows in all, and per cycle, beyond which long steps do not add rows. Those that a short
+    time needs multiply the rows of all other times; 4 per cycle are enough for 10 rad/s in cycles of 20
+    ms."""
+
+    max_refinements: int = 3
+    """Number of attempts, each with more rows, to make the steps between rows short."""
+
 
 TRANSITION = TransitionSettings()
 
@@ -200,13 +216,17 @@ class RowSolver:
             progress: called with the number of finished rows and the total number.
         """
         per_cycle = self._first_guess(cycles)
-        for attempt in range(ROWS.max_refinements):
+        for attempt in range(TRANSITION.max_refinements):
             rows = cycles.finer(per_cycle)
             positions = self._with_tips(rows, self._positions(rows, progress))
             longest = float((np.abs(np.diff(positions, axis=0)) / self._arm.joint_units).max())
             more = _rows_per_cycle(cycles, math.ceil(per_cycle * longest / TRANSITION.row_step))
             logger.debug("%d rows, the longest step %.3g", rows.rows, longest)
-            if longest <= TRANSITION.max_row_step or more <= per_cycle or attempt == ROWS.max_refinements - 1:
+            if (
+                longest <= TRANSITION.max_row_step
+                or more <= per_cycle
+                or attempt == TRANSITION.max_refinements - 1
+            ):
                 break
             per_cycle = more
         return Motion(rows, per_cycle, positions)
@@ -232,7 +252,7 @@ class RowSolver:
         """Estimate the rows per cycle for short steps from the distances between keyframes."""
         positions = np.array([keyframe.positions for keyframe in self._motion.keyframes])
         apart = (np.abs(np.diff(positions, axis=0)) / self._arm.joint_units).max(axis=1)
-        speed = ROWS.peak_speed_ratio * float((apart / cycles.between).max())
+        speed = TRANSITION.peak_speed_ratio * float((apart / cycles.between).max())
         return _rows_per_cycle(cycles, math.ceil(speed / TRANSITION.row_step))
 
     def _with_tips(self, rows: Schedule, positions: Array) -> Array:
@@ -435,29 +455,6 @@ def _filled(solved: NDArray[np.int64], values: Array) -> Array:
 # The reference.
 
 
-class RowCounts(NamedTuple):
-    """How many rows a reference has."""
-
-    peak_speed_ratio: float = 1.9
-    """Estimated ratio of the largest to the mean speed from one keyframe to the next."""
-
-    min_between: int = 16
-    max_in_all: int = 200_000
-    """Smallest number of rows from one keyframe to the next, if that many rows in all suffice for it."""
-
-    enough: int = 10_000
-    enough_per_cycle: int = 4
-    """Numbers of rows in all, and per cycle, beyond which long steps do not add rows. Those that a short
-    time needs multiply the rows of all other times; 4 per cycle are enough for 10 rad/s in cycles of 20
-    ms."""
-
-    max_refinements: int = 3
-    """Number of attempts, each with more rows, to make the steps between rows short."""
-
-
-ROWS = RowCounts()
-
-
 def keyframe_reference(
     arm: Arm,
     keyframes: Sequence[Keyframe],
@@ -619,16 +616,16 @@ def _slowed(
         short = distance <= speed * gaining
         needed = np.where(short, np.sqrt(2.0 * ends * distance / bounds.brake), needed + gaining)
     least = np.minimum(needed.max(axis=1), MOST_CYCLES)
-    least *= ROWS.enough / max(least.sum(), ROWS.enough)
+    least *= TRANSITION.enough_rows / max(least.sum(), TRANSITION.enough_rows)
     between = np.maximum(cycles.between, np.floor(least).astype(np.int64))
     return None if np.array_equal(between, cycles.between) else cycles.with_between(between)
 
 
 def _rows_per_cycle(cycles: Schedule, wanted: int) -> int:
     """Return the number of rows per cycle, if so many are wanted for short steps."""
-    fewest = math.ceil(ROWS.min_between / int(cycles.between.min()))
-    enough = max(ROWS.enough // cycles.rows, ROWS.enough_per_cycle)
-    return max(1, min(max(fewest, min(wanted, enough)), ROWS.max_in_all // cycles.rows))
+    fewest = math.ceil(TRANSITION.min_rows / int(cycles.between.min()))
+    enough = max(TRANSITION.enough_rows // cycles.rows, TRANSITION.enough_rows_per_cycle)
+    return max(1, min(max(fewest, min(wanted, enough)), TRANSITION.max_rows // cycles.rows))
 
 
 def _weights(rows: Schedule, masks: list[Array]) -> Array:

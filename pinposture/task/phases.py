@@ -64,7 +64,7 @@ from pinposture.task.keyframe import (
     usual_placement,
     with_fitting_joints,
 )
-from pinposture.task.keyframes import ROWS, TRANSITION, Progress, keyframe_reference
+from pinposture.task.keyframes import TRANSITION, Progress, keyframe_reference
 from pinposture.task.reference import Reference, Waypoint, require_wide_pipe, smooth_step
 from pinposture.task.wrap import (
     Grip,
@@ -733,14 +733,14 @@ class _Planner:
         if duration is None:
             moved = np.abs(np.diff(path.offsets, axis=0)).sum(axis=0)
             bound = self._limits.for_arm(arm).bound
-            cycles = ROWS.peak_speed_ratio * float(
+            cycles = TRANSITION.peak_speed_ratio * float(
                 (moved / np.where(np.isfinite(bound), bound, TRANSITION.row_step)).max()
             )
             duration = self._dt * max(cycles, TIP_MOTION.min_cycles)
         rows = max(
             ceil(duration / self._dt),
             TIP_MOTION.min_cycles,
-            ceil(ROWS.peak_speed_ratio * travel[-1] / TRANSITION.row_step),
+            ceil(TRANSITION.peak_speed_ratio * travel[-1] / TRANSITION.row_step),
         )
         share = smooth_step(np.linspace(0.0, 1.0, rows + 1))
         parameters = np.interp(share * travel[-1], travel, np.arange(len(travel), dtype=np.float64))

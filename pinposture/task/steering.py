@@ -58,9 +58,6 @@ class SteeringSettings(NamedTuple):
 
 STEERING = SteeringSettings()
 
-AHEAD = np.zeros(2)
-"""The curvature of a straight line."""
-
 
 class Arcs(NamedTuple):
     """Circular arcs, each from where the one before ends.
@@ -260,7 +257,7 @@ class Steering:
         path = LaidPath(fed.tip - fed.run_up * fed.axis, frame, fed.run_up, fed.max_tip_lead)
         self._posture = _Posture(ClosestPlacement(fed, path), path, 0.0, fed.start, "")
         self._model: CollisionModel | None = None
-        self._asked = AHEAD
+        self._asked = np.zeros(2)
         self._eased = 0
         self._refused = ""
         self._moved = 0.0
@@ -362,7 +359,7 @@ class Steering:
             return self._lay(distance, curvature, foresees)
         path = self._posture.path
         missing = self._posture.placement.tip + 2.0 * distance + self._stop(distance) - path.end
-        path = path if missing <= 0.0 else path.extended(path.end, missing, AHEAD)
+        path = path if missing <= 0.0 else path.extended(path.end, missing, np.zeros(2))
         return self._move(distance, path, foresees)
 
     def _stop(self, distance: float) -> float:

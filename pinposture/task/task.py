@@ -49,9 +49,8 @@ from pinposture.schema import (
     shown,
     write_parts,
 )
-from pinposture.storage import require_suffix, settled, write_text
+from pinposture.storage import RESULT_FORMATS, require_suffix, settled, write_text
 from pinposture.task.document import (
-    RESULT_FORMATS,
     Descriptions,
     document_text,
     folder_of,

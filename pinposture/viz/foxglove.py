@@ -28,7 +28,7 @@ from pinposture.motion.ros import world_frame
 from pinposture.placement import Target
 from pinposture.viz import drawing, palette
 from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge
-from pinposture.viz.meshcat import FRAMES, Viewer
+from pinposture.viz.meshcat import ANIMATION, Viewer
 from pinposture.viz.palette import THEME
 
 logger = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class FoxgloveViewer(Viewer):
         self.target = target
         self.scene = scene
         self.ellipsoids = ()
-        self._playback = None if self.run is None else drawing.playback(self.run, fps, FRAMES.viewer)
+        self._playback = None if self.run is None else drawing.playback(self.run, fps, ANIMATION.most_sent)
         self._messages: Any = messages
         self._world = world_frame(arm)
         self._draw_arm()

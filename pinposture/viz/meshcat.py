@@ -265,8 +265,8 @@ def _transform(position: Array, linear: Array | float = 1.0) -> Array:
     return matrix
 
 
-class CameraSettings(NamedTuple):
-    """The view of an animation."""
+class AnimationSettings(NamedTuple):
+    """The view of an animation, and the largest numbers of its configurations."""
 
     field_of_view: float = 35.0
     """Vertical field of view [deg]; narrower than usual, to reduce the distortion of near objects."""
@@ -277,8 +277,15 @@ class CameraSettings(NamedTuple):
     margin: float = 1.15
     """Factor of the camera distance."""
 
+    most_sent: int = 2000
+    """Most configurations that are sent to the browser."""
 
-CAMERA = CameraSettings()
+    most_of_a_run: int = 240
+    most_of_a_motion: int = 1200
+    """Most configurations in a page of a run, and in one of a motion."""
+
+
+ANIMATION = AnimationSettings()
 
 
 def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
@@ -291,7 +298,9 @@ def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
     viewer[ROOT].set_transform(_transform(-framing.center))
     grid = _transform(np.array([0.0, 0.0, floor]), 0.4 * round_down(framing.radius))
     viewer["/Grid"].set_transform(grid)
-    distance = CAMERA.margin * framing.distance(points, np.radians(CAMERA.field_of_view), CAMERA.aspect)
+    distance = ANIMATION.margin * framing.distance(
+        points, np.radians(ANIMATION.field_of_view), ANIMATION.aspect
+    )
     x, y, z = distance * framing.axes[2]
     camera = "/Cameras/default/rotated/<object>"
     properties: list[tuple[str, str, Any]] = [
@@ -304,7 +313,7 @@ def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
         # By default, these two lights fade out after 10 m.
         ("/Lights/PointLightNegativeX/<object>", "distance", 0.0),
         ("/Lights/PointLightPositiveX/<object>", "distance", 0.0),
-        (camera, "fov", CAMERA.field_of_view),
+        (camera, "fov", ANIMATION.field_of_view),
         (camera, "near", 0.01 * distance),
         (camera, "far", 100.0 * distance),
         # In the camera frame, y points up.
@@ -372,22 +381,6 @@ def draw_scene(
     return DrawnScene(moving, bool(obstacles), waypoints)
 
 
-class FrameLimits(NamedTuple):
-    """Largest numbers of configurations of an animation."""
-
-    viewer: int = 2000
-    """Those sent to the browser."""
-
-    run: int = 240
-    """Those of a page of a run."""
-
-    motion: int = 1200
-    """Those of a page of a motion."""
-
-
-FRAMES = FrameLimits()
-
-
 class Viewer:
     """An arm in the browser, shown by a meshcat server; see `pinposture.viz.view`.
 
@@ -418,7 +411,7 @@ class Viewer:
         self.target = target
         self.scene = scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
-        self._playback = None if run is None else drawing.playback(run, fps, FRAMES.viewer)
+        self._playback = None if run is None else drawing.playback(run, fps, ANIMATION.most_sent)
         self._playing = False
         self.meshcat = Visualizer(window=Connection(url))
         try:
@@ -646,7 +639,7 @@ def animate(
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)
     if max_frames is None:
-        max_frames = FRAMES.motion if isinstance(run, Trajectory) else FRAMES.run
+        max_frames = ANIMATION.most_of_a_motion if isinstance(run, Trajectory) else ANIMATION.most_of_a_run
     return AnimationPage(_page_html(arm, playback(run, fps, max_frames), target, points))
 
 
@@ -701,7 +694,7 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
         legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=THEME.ink,
         end=shown.end / shown.fps,
-        aspect=CAMERA.aspect,
+        aspect=ANIMATION.aspect,
         viewer=_viewer_script(),
         run=json.dumps(described).replace("<", r"\u003c"),  # names must not end the script
         commands=json.dumps(packed),

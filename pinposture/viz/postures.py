@@ -486,10 +486,6 @@ def _circle() -> Array:
     return np.column_stack([np.cos(around), np.sin(around)])
 
 
-# Signed permutations of the axes of a right-handed frame, as rotations (24, 3, 3).
-_AXIS_PERMUTATIONS = np.rint(Rotation.create_group("O").as_matrix())
-
-
 class EllipsoidMotion(NamedTuple):
     """Ellipsoids of p control points at f configurations, as scaled and rotated unit spheres.
 
@@ -560,11 +556,12 @@ def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
     """
     frames = frames.copy()
     radii = radii.copy()
+    permutations = np.rint(Rotation.create_group("O").as_matrix())  # signed, of right-handed axes, (24, 3, 3)
     for before, now, lengths in zip(frames[:-1], frames[1:], radii[1:], strict=True):
-        renamed = _AXIS_PERMUTATIONS[:, None] @ now  # (24, p, 3, 3)
+        renamed = permutations[:, None] @ now  # (24, p, 3, 3)
         best = np.einsum("gpij,pij->gp", renamed, before).argmax(axis=0)
         now[:] = renamed[best, np.arange(len(best))]
-        lengths[:] = np.einsum("pij,pj->pi", np.abs(_AXIS_PERMUTATIONS[best]), lengths)
+        lengths[:] = np.einsum("pij,pj->pi", np.abs(permutations[best]), lengths)
     return frames, radii
 
 

@@ -12,10 +12,11 @@ import pytest
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
-from pinposture.cli.output import FORMATS, find_kept, load_kept, motion_files, write_files
+from pinposture.cli.output import find_kept, load_kept, motion_files, write_files
 from pinposture.errors import FileError
 from pinposture.motion.trajectory import Trajectory, WaypointResult
 from pinposture.motion.words import in_words
+from pinposture.storage import RESULT_FORMATS
 
 
 def around_a_ball() -> pp.Scene:
@@ -108,9 +109,9 @@ def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
     motion = some_motion()
     files, failure = write_files(motion_files(motion, tmp_path / "out"))
     assert failure is None
-    assert set(files) == set(FORMATS)
+    assert set(files) == set(RESULT_FORMATS)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
-        f"motion.{kind}" for kind in FORMATS
+        f"motion.{kind}" for kind in RESULT_FORMATS
     )
     assert list(files)[-1] == "npz"
     np.testing.assert_array_equal(pp.load(files["npz"], Trajectory).q, motion.q)

@@ -15,7 +15,7 @@ import pinposture as pp
 from pinposture.collision import Obstacle
 from pinposture.collision.shapes import rotation_to
 from pinposture.editor.obstacles import (
-    COORDINATE_DIGITS,
+    HANDLING,
     ArmScale,
     at_pose,
     bounding_radius,
@@ -25,7 +25,7 @@ from pinposture.editor.obstacles import (
 )
 
 MEASURES = ArmScale(np.array([0.5, 0.0, 0.0]), 1.0)
-ROUNDING = 2.0 * 10.0**-COORDINATE_DIGITS
+ROUNDING = 2.0 * 10.0**-HANDLING.digits
 
 coordinates = st.floats(-2.0, 2.0).map(lambda x: round(x, 4))
 vectors = st.tuples(coordinates, coordinates, coordinates)

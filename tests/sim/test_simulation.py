@@ -231,7 +231,7 @@ def test_a_process_that_knows_no_simulation_reads_one_without_mujoco(tmp_path):
 def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
     opened = open_loop()
     run = pp.save(some_run(), tmp_path / "run.npz")
-    with pytest.raises(FileError, match="contains a run, not a simulation of it"):
+    with pytest.raises(FileError, match="contains a run, not a simulation"):
         pp.load(run, sim.Simulation)
     path = pp.save(opened, tmp_path / "sim.npz")
     content = path.read_bytes()

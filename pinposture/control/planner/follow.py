@@ -446,7 +446,7 @@ def fast_step(
     held_back = s <= progress.s
     moved = progress.moved_to(s, bounds.travel, held_back, ahead.reached[i], ahead, i + 1)
     stopping = None
-    messages = _NO_MESSAGES
+    messages = _Messages()
     if avoidance is not None:
         stopping = _clear_stop(moved, state, dq, bounds, avoidance)
         if stopping is None:
@@ -490,9 +490,6 @@ class _Messages(NamedTuple):
             near = avoidance.describe_obstruction(state, solution, stuck)
         blocked = (path.blocked_by,) if path.blocked_by else ()
         return cls(avoidance.describe_violations(state), near + blocked)
-
-
-_NO_MESSAGES = _Messages()
 
 
 def _rises(objective: Objective, before: float, after: float) -> bool:
@@ -1108,7 +1105,7 @@ def check_step(
     violated = step_bounds.violated_constraints
     share = 1.0
     stopping: Array | None = None
-    messages = _NO_MESSAGES
+    messages = _Messages()
     reason = candidate.reason
     if not isfinite(dq @ dq):
         dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)

@@ -272,19 +272,6 @@ class JointPath:
 # for steps.
 
 
-NO_PROFILE = TimedPathArrays(
-    offsets=np.empty((0, 0)),
-    slopes=np.empty((0, 0)),
-    start=np.empty(0),
-    top=np.empty(0),
-    rows=ProfileRows(np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty(0)),
-    parts=PathParts(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)),
-    most=inf,
-    small=PATH.zero_slope,
-)
-"""Arrays of a path without a speed profile, but for the path."""
-
-
 class SpeedProfile:
     """The highest speed along a path, at its waypoints.
 
@@ -479,7 +466,16 @@ class TimedPath:
         path = self.path
         profile = self.profile
         if profile is None:
-            return NO_PROFILE._replace(offsets=path.offsets, start=path.positions)
+            return TimedPathArrays(
+                offsets=path.offsets,
+                slopes=np.empty((0, 0)),
+                start=path.positions,
+                top=np.empty(0),
+                rows=ProfileRows(np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0)), np.empty(0)),
+                parts=PathParts(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)),
+                most=inf,
+                small=PATH.zero_slope,
+            )
         return TimedPathArrays(
             offsets=path.offsets,
             slopes=path.slopes,

@@ -96,8 +96,6 @@ STAGES = (
 weight. A small weight with few pieces would allow long joint motions between waypoints. If the path is still
 long, as for arms that fold onto themselves, the relaxation restarts with many pieces and the small weight."""
 
-_STAGES = np.array(STAGES)
-
 
 class StageSettings(NamedTuple):
     """The pieces of a path, and the stages in which it is relaxed in free space."""
@@ -369,7 +367,7 @@ class _Waypoints:
         return kernels.find_direct_waypoints(
             self._problem,
             self.interpolate(change, bend, pieces),
-            _STAGES,
+            np.array(STAGES),
             stiffness,
             STAGING.least_decrease,
             STAGING.kept_ratio,

@@ -43,12 +43,9 @@ class SectionSet(NamedTuple):
             without points.
     """
 
-    points: tuple[int, ...]
-    edges: int
-    score: float
-
-
-EMPTY_SET = SectionSet((), 0, -np.inf)
+    points: tuple[int, ...] = ()
+    edges: int = 0
+    score: float = -np.inf
 
 
 class SectionEdges(NamedTuple):
@@ -154,7 +151,7 @@ class SectionTree:
         if self._root_counts:
             points = (self.root - 1, *points)
         if not points:
-            return EMPTY_SET
+            return SectionSet()
         logs = np.array([[self._logs[edge] for edge in kept]]).sum(axis=1)
         return SectionSet(points, len(kept), float(_scores(np.array([len(kept)]), logs, score)[0]))
 
@@ -209,7 +206,7 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
         root, leaf, edges.section_sizes, edges.stable, edges.logs, bonus, mean, path
     )
     if found == -np.inf:
-        return EMPTY_SET
+        return SectionSet()
     points = [root - 1] * root_counts + (path[:left][::-1] - 1).tolist()
     return SectionSet(tuple(points), left, found)
 

@@ -38,21 +38,18 @@ class SwitchingPhase(NamedTuple):
         failovers: number of failovers so far.
     """
 
-    method: str
-    best: float
-    waited: float
-    left: float
-    failovers: int
-
-
-INITIAL_PHASE = SwitchingPhase("selection", np.inf, 0.0, 0.0, 0)
+    method: str = "selection"
+    best: float = np.inf
+    waited: float = 0.0
+    left: float = 0.0
+    failovers: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingMemory(Memory):
     """The memory of `Switching`, which includes its phase."""
 
-    phase: SwitchingPhase = INITIAL_PHASE
+    phase: SwitchingPhase = field(default_factory=SwitchingPhase)
 
 
 HandBack = Literal["after_stay", "when_possible"]
@@ -117,7 +114,7 @@ class Switching:
         limits = require_limits(limits)
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
         travel = limits.travel(state)
-        phase = memory.phase if isinstance(memory, SwitchingMemory) else INITIAL_PHASE
+        phase = memory.phase if isinstance(memory, SwitchingMemory) else SwitchingPhase()
         idle = phase.method == "projection"
         if idle and phase.left > ROUNDING * travel:
             if self.hand_back == "when_possible":
@@ -193,7 +190,7 @@ class Switching:
             return _labelled(held, phase, why)
         # With a reason to fail over, Selection was active and stays so: the method does not change.
         changed = "" if why else held.reason
-        return _labelled(step, INITIAL_PHASE._replace(failovers=phase.failovers), changed)
+        return _labelled(step, SwitchingPhase(failovers=phase.failovers), changed)
 
     def _escape(
         self, state: ArmState, target: Target, goal: Array, limits: Limits, memory: Memory | None

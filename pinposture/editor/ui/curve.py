@@ -86,18 +86,6 @@ class CurveLook(NamedTuple):
 
 CURVE = CurveLook()
 
-LEGEND = (
-    (THEME.modules[0], "the arm"),
-    (THEME.rest, "the curve beyond the arm"),
-    (THEME.target, "the curve, where the arm lies on it"),
-    (THEME.mark, "a curve that the arm cannot take"),
-    (CURVE.ball_color, "control points of the curve"),
-    (THEME.regular, "points of the arm on their targets; red: far off"),
-    (THEME.active, "rings: active points of the arm"),
-    (palette.in_time(0.7), "curves of other keyframes, by their times"),
-)
-"""Colours in the picture, and what they say."""
-
 
 def drawn_curve(arm: Arm, keyframe: Keyframe) -> Curve:
     """Return the curve of a keyframe in the world; of a taught configuration, the line along the arm."""
@@ -476,7 +464,17 @@ class ShapeTab:
         )
         on_change(self._step, lambda step: post(partial(set_grid, MILLIMETRE * step if snap.value else 0.0)))
         on_choice(edit, lambda what: post(POINT_ACTIONS[what]))
-        gui.add_html(legend_html(LEGEND))
+        colors = (
+            (THEME.modules[0], "the arm"),
+            (THEME.rest, "the curve beyond the arm"),
+            (THEME.target, "the curve, where the arm lies on it"),
+            (THEME.mark, "a curve that the arm cannot take"),
+            (CURVE.ball_color, "control points of the curve"),
+            (THEME.regular, "points of the arm on their targets; red: far off"),
+            (THEME.active, "rings: active points of the arm"),
+            (palette.in_time(0.7), "curves of other keyframes, by their times"),
+        )
+        gui.add_html(legend_html(colors))
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""

@@ -280,9 +280,8 @@ class PageLayout(NamedTuple):
 
 PAGE = PageLayout()
 
-CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of an arm along the x axis
 DIRECTIONS = {  # from what is framed to the camera; never straight down, where no side is up
-    "All": CAMERA_DIRECTION,
+    "All": np.array([0.25, -0.85, 0.46]),  # of an arm along the x axis
     "Front": np.array([1.0, 0.0, 0.0]),
     "Side": np.array([0.0, -1.0, 0.0]),
     "Top": np.array([0.0, -1e-3, 1.0]),
@@ -368,10 +367,10 @@ def camera_direction(arm: Arm) -> Array:
     ahead = arm_axis(arm)
     level = float(np.hypot(*ahead[:2]))
     if level < PAGE.least_level:
-        return CAMERA_DIRECTION
+        return DIRECTIONS["All"]
     cosine, sine = ahead[:2] / level
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(turn @ CAMERA_DIRECTION)
+    return np.asarray(turn @ DIRECTIONS["All"])
 
 
 def viewpoint(task: Task) -> Viewpoint:

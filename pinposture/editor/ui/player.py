@@ -21,7 +21,7 @@ from pinposture.control import Limits
 from pinposture.editor import edits
 from pinposture.editor.edits import TIMES, Pass, keyframes_of, passes_of, times_of
 from pinposture.editor.phases import EditedPhase
-from pinposture.editor.playback import SPEEDS, Playback
+from pinposture.editor.playback import Playback
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, limits_per_step
 from pinposture.editor.ui.keyframes import MARK_COLORS, row_label
@@ -87,8 +87,6 @@ class TraceSettings(NamedTuple):
 
 
 TRACE = TraceSettings()
-
-NO_TIMES = np.zeros(0)
 
 
 class TimelineLayout(NamedTuple):
@@ -268,7 +266,7 @@ class Plots:
         with tab:
             self._legend = server.gui.add_html("", order=3.0)
             self._plot = server.gui.add_uplot(
-                self._data(self._recent.trace, NO_TIMES, NO_TIMES),
+                self._data(self._recent.trace, np.zeros(0), np.zeros(0)),
                 _lines(self._color),
                 scales={
                     "x": {"time": False},
@@ -311,8 +309,8 @@ class Plots:
             self._color = color
             self._plot.series = _lines(color)
         trace = self._recent.trace
-        marks = NO_TIMES
-        at = NO_TIMES
+        marks = np.zeros(0)
+        at = marks
         # An axis that a browser drew before it knew its width gets its numbers only when it changes.
         self._jitter = not self._jitter
         trace.time[0] *= 1.0 + TRACE.axis_jitter * self._jitter
@@ -583,9 +581,9 @@ def drag_keyframe(index: int, by: float, step: float, session: Session) -> None:
 
 
 def change_speed(by: int, session: Session) -> None:
-    """Play faster or slower, by one of `SPEEDS`."""
-    index = SPEEDS.index(session.playback.speed) + by
-    session.playback.at_speed(SPEEDS[min(max(index, 0), len(SPEEDS) - 1)])
+    """Play faster or slower, by a number of halvings or doublings of real time, of which there are two."""
+    speed = session.playback.speed * 2.0**by
+    session.playback.at_speed(min(max(speed, 0.25), 4.0))
 
 
 def at_usual_speed(session: Session) -> None:

@@ -49,29 +49,13 @@ from pinposture.viz.drawing import DRAWING, link_radius
 from pinposture.viz.palette import THEME
 
 
-class ScanLook(NamedTuple):
-    """How scans are drawn."""
-
-    point_size: float = 0.003
-    """Size of points, relative to the arm."""
-
-    color: str = palette.mixed(THEME.obstacle, "#FFFFFF", 0.35)
-    """Colour of a scan without colours of its own."""
-
-    opacity: float = 0.6
-    """Opacity of a surface, which may stand in front of the arm."""
-
-
-SCAN = ScanLook()
-
-
 class Scans:
     """The scans of the task in the page."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, shelf: ScanShelf) -> None:
         self._server = server
         self._shelf = shelf
-        self._size = SCAN.point_size * arm.length
+        self._size = OBSTACLES.scan_point * arm.length
         self._drawn: dict[Path, tuple[Scan, viser.MeshHandle | viser.PointCloudHandle | Any]] = {}
         self._made = 0
 
@@ -89,7 +73,7 @@ class Scans:
         name = f"/scans/{self._made}"
         scene = self._server.scene
         if scan.faces is None:
-            colors: Any = color(SCAN.color) if scan.colors is None else scan.colors
+            colors: Any = color(OBSTACLES.scan_color) if scan.colors is None else scan.colors
             return scene.add_point_cloud(
                 name,
                 scan.points.astype(np.float32),
@@ -103,8 +87,8 @@ class Scans:
                 name,
                 scan.points,
                 scan.faces,
-                color=color(SCAN.color),
-                opacity=SCAN.opacity,
+                color=color(OBSTACLES.scan_color),
+                opacity=OBSTACLES.scan_opacity,
                 side="double",
                 cast_shadow=False,
             )
@@ -186,7 +170,7 @@ Array = NDArray[np.float64]
 
 
 class ObstacleLook(NamedTuple):
-    """How obstacles and their handles are drawn; sizes are relative to the arm."""
+    """How obstacles, scans and handles are drawn, with sizes relative to the arm, and their fields."""
 
     handle_radius: float = 2.0
     """Radius of a handle, relative to that of the bars of the arm."""
@@ -211,6 +195,22 @@ class ObstacleLook(NamedTuple):
 
     longest_line: float = 0.5
     """Length of the line that shows the clearance, at most."""
+
+    scan_point: float = 0.003
+    """Size of the points of scans."""
+
+    scan_color: str = palette.mixed(THEME.obstacle, "#FFFFFF", 0.35)
+    """Colour of a scan without colours of its own."""
+
+    scan_opacity: float = 0.6
+    """Opacity of the surface of a scan, which may stand in front of the arm."""
+
+    direction_digits: int = 4
+    angle_digits: int = 2
+    """Digits behind the point in fields of directions, and of angles [deg]."""
+
+    finer_digits: int = 3
+    """How many more radii and margins have than coordinates: they are small."""
 
 
 OBSTACLES = ObstacleLook()
@@ -237,22 +237,6 @@ def number_labels() -> dict[str, str]:
             words = field.name.replace("_", " ").capitalize()
             labels.setdefault(field.name, f"{words} [{field.metadata.get('unit', 'mm')}]")
     return labels
-
-
-class FieldDigits(NamedTuple):
-    """Digits behind the point in fields of obstacles."""
-
-    direction: int = 4
-    """Digits of directions."""
-
-    angle: int = 2
-    """Digits of angles [deg]."""
-
-    finer: int = 3
-    """How many more radii and margins have than coordinates: they are small."""
-
-
-DIGITS = FieldDigits()
 
 
 class DrawnObstacle(NamedTuple):
@@ -486,7 +470,7 @@ class SceneTab:
         bind = partial(Bound, post)
         digits = coordinate_digits(arm.length)
         step = 10.0**-digits
-        finer = digits + DIGITS.finer
+        finer = digits + OBSTACLES.finer_digits
         self._points = np.zeros((0, 3))
         self._name = ""
         self._about = gui.add_html("")
@@ -507,7 +491,8 @@ class SceneTab:
         for key, (label, hint) in VECTOR_LABELS.items():
             by = {"rotation": 1.0, "normal": 0.005}.get(key, step)
             field = gui.add_vector3(label, (0.0, 0.0, 0.0), step=by, hint=hint, visible=False)
-            field.precision = {"rotation": DIGITS.angle, "normal": DIGITS.direction}.get(key, digits)
+            precisions = {"rotation": OBSTACLES.angle_digits, "normal": OBSTACLES.direction_digits}
+            field.precision = precisions.get(key, digits)
             fields[key] = field, {"rotation": np.pi / 180.0, "normal": 1.0}.get(key, MILLIMETRE)
         for key, label in number_labels().items():
             number = gui.add_number(label, 0.0, min=0.0, step=step, visible=False)
