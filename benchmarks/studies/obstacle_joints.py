@@ -46,9 +46,9 @@ def draw_scene(arm: pp.Arm, boxes: int, rng: np.random.Generator) -> pp.Scene:
 
 
 def draw_problem(
-    arm: pp.Arm, boxes: int, rng: np.random.Generator, hindered: bool
+    arm: pp.Arm, boxes: int, rng: np.random.Generator, blocked: bool
 ) -> tuple[pp.Scene, np.ndarray, np.ndarray]:
-    """A scene, and a clear start and goal, between which the direct path is hindered or not."""
+    """A scene, and a clear start and goal, between which the direct path is blocked or not."""
     for _ in range(MAX_DRAWS):
         scene = draw_scene(arm, boxes, rng)
         model = pp.CollisionModel(arm, scene)
@@ -57,7 +57,7 @@ def draw_problem(
             continue
         free = pp.plan(arm.at(start), pp.Target.from_configuration(arm, goal))
         clear = model.minimum_on_motions(start, free.offsets, MARGIN).distance >= MARGIN
-        if clear != hindered:
+        if clear != blocked:
             return scene, start, goal
     raise SystemExit(f"no such problem in {MAX_DRAWS} draws")
 

@@ -474,11 +474,11 @@ class _Way:
             budget: time for a search beside the way back [s].
         """
         goal = self._without_joint(self._state, outside)
-        hindered = self._hindrance(goal)
-        if hindered:
+        blocked_by = self._blocked_by(goal)
+        if blocked_by:
             nearby = self._nearby(goal, outside)
             if nearby is None:
-                return f"outside, with the joint as it is, {hindered}, and no posture nearby would do"
+                return f"outside, with the joint as it is, {blocked_by}, and no posture nearby would do"
             goal = nearby
         self._follow(back)
         end = self._end(goal, budget)
@@ -493,11 +493,11 @@ class _Way:
         for begin in (goal, self._state):
             fitted = self._fitted(begin, outside)
             off = np.linalg.norm(target.errors(fitted.points), axis=1).max()
-            if off <= near and not self._hindrance(fitted):
+            if off <= near and not self._blocked_by(fitted):
                 return fitted
         return None
 
-    def _hindrance(self, state: ChainState) -> str:
+    def _blocked_by(self, state: ChainState) -> str:
         """Return why a posture cannot be taken: what comes too close, or a torque; empty if it can."""
         closest = self._avoidance.clearance.minimum(state.q)
         if closest.distance < self._least:
@@ -619,10 +619,10 @@ class _HangingWay(_Way):
         limits[:, self._column] = state.positions[self._column]
         return replace(self._bounds, position_limits=limits)
 
-    def _hindrance(self, state: ChainState) -> str:
+    def _blocked_by(self, state: ChainState) -> str:
         if self._hung(state) is None:
             return f"{self._arm.joint_names[self._column]} {UNKNOWN_FALL}"
-        return super()._hindrance(state)
+        return super()._blocked_by(state)
 
     def _search(self, goal: ChainState, budget: float) -> JointPath:
         arm = self._arm

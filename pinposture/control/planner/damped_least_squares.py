@@ -160,7 +160,7 @@ class LeastSquaresResult(NamedTuple):
     intrusion: float
 
 
-class UnhinderedFit(NamedTuple):
+class FreeFit(NamedTuple):
     """A fit that disregards obstacles, and what a search among them found from there.
 
     Attributes:
@@ -350,8 +350,8 @@ def minimize(
     )
 
 
-def minimize_unhindered_first(
-    problem: PlanningProblem, state: ChainState, good: float, allowed: float, known: list[UnhinderedFit]
+def minimize_from_free_fit(
+    problem: PlanningProblem, state: ChainState, good: float, allowed: float, known: list[FreeFit]
 ) -> LeastSquaresResult:
     """Search for a local minimum of the cost as `minimize` does, from the fit that disregards obstacles.
 
@@ -377,7 +377,7 @@ def minimize_unhindered_first(
         starts = free.state, state
         searches = [minimize(problem, start, good, allowed) for start in starts]
         result = min(searches, key=lambda search: (search.intrusion, search.cost))
-    known.append(UnhinderedFit(free.state, result))
+    known.append(FreeFit(free.state, result))
     return result
 
 

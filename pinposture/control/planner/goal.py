@@ -12,11 +12,11 @@ from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.arm.arm import nearest_turns
 from pinposture.control.planner.damped_least_squares import (
+    FreeFit,
     LeastSquaresResult,
     PlanningProblem,
-    UnhinderedFit,
     minimize,
-    minimize_unhindered_first,
+    minimize_from_free_fit,
 )
 from pinposture.control.planner.objective import Objective
 from pinposture.placement.points import initial_guesses, points_determine_joints
@@ -96,12 +96,12 @@ def find_goal(
     # An arm that violates the margin at the start may do so at the goal by as much.
     allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(problem, held, before)
-    fits: list[UnhinderedFit] = []
+    fits: list[FreeFit] = []
 
     def search(start: ChainState) -> LeastSquaresResult:
         if avoidance is None or objective.tasks or avoidance.constrained:
             return minimize(problem, start, good, allowed)
-        return minimize_unhindered_first(problem, start, good, allowed, fits)
+        return minimize_from_free_fit(problem, start, good, allowed, fits)
 
     best = latest = search(next(starts))
     good_enough = max(good, enough)

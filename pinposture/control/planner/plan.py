@@ -211,20 +211,20 @@ def find_path(
     """
     objective, state, position_limits, avoidance = problem
     good = OBJECTIVE.goal_tolerance * objective.arm.length
-    unhindered = problem._replace(avoidance=None)
+    in_free_space = problem._replace(avoidance=None)
     if avoidance is None or avoidance.only_torques:
         # The usual goal, if the motors hold the arm there.
         if goal is None and not objective.tasks:
             goal = known_goal(objective, position_limits, state.q)
         if goal is None:
-            goal = find_goal(unhindered, good).state
+            goal = find_goal(in_free_space, good).state
         if avoidance is not None and avoidance.violation(goal) > 0.0:
             goal = None
     if goal is None:
         goal = find_goal(problem, good).state
     path = None
     if avoidance is not None and avoidance.only_torques and not attempt:
-        direct = _clearest_path(unhindered, goal, attempt, until, report)
+        direct = _clearest_path(in_free_space, goal, attempt, until, report)
         if avoidance.tolerating(state, goal).keeps_constraints(state.q, direct.offsets).all():
             path = direct
     if path is None:

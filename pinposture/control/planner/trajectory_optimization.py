@@ -132,7 +132,7 @@ class StageSettings(NamedTuple):
 STAGING = StageSettings()
 
 
-class HinderedSettings(NamedTuple):
+class ObstacleRelaxationSettings(NamedTuple):
     """How a path is relaxed where clearances or tasks count."""
 
     pieces: int = 48
@@ -188,7 +188,7 @@ class HinderedSettings(NamedTuple):
     rejected."""
 
 
-AMONG_OBSTACLES = HinderedSettings()
+AMONG_OBSTACLES = ObstacleRelaxationSettings()
 
 
 class Descent(NamedTuple):

@@ -233,7 +233,7 @@ def test_a_poisoned_solver_breaks_no_limit(poison: str, kind: str, monkeypatch: 
         assert np.all(rise[~run.error_increasing] <= 1e-11 * case.arm.length)
 
 
-def test_a_poisoned_solver_does_not_keep_an_unhindered_arm_from_a_known_configuration(
+def test_a_poisoned_solver_does_not_keep_a_free_arm_from_a_known_configuration(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its way needs no program."""
