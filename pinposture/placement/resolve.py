@@ -70,7 +70,7 @@ It is not zero for "closest" because some joints move no control point.
 """
 
 
-class PlacementTolerances(NamedTuple):
+class TargetTolerances(NamedTuple):
     """How far points may be from where they should."""
 
     far: float = 0.1
@@ -84,7 +84,7 @@ class PlacementTolerances(NamedTuple):
     """Tolerance of custom kinematics, in reaches of the module or radians."""
 
 
-PLACING = PlacementTolerances()
+PLACING = TargetTolerances()
 
 
 def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = None) -> PlacedModules:

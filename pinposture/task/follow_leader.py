@@ -345,7 +345,7 @@ Method = Literal["closest", "sequential"]
 PATH_METHODS: tuple[Method, ...] = ("closest", "sequential")
 
 
-class RoutePlacementSettings(NamedTuple):
+class RouteFollowingSettings(NamedTuple):
     """How a posture along the route is found, and how far from it parts of the arm may be."""
 
     bending_weight: float = 1e-3
@@ -382,10 +382,10 @@ class RoutePlacementSettings(NamedTuple):
     """Number of configurations whose distances are measured at a time."""
 
 
-ON_ROUTE = RoutePlacementSettings()
+ON_ROUTE = RouteFollowingSettings()
 
 
-class SequentialPlacement:
+class SequentialRouteFollower:
     """Algorithm 1: each module where it first intersects the route, starting from the end of the feed."""
 
     def __init__(self, route: Route) -> None:
@@ -431,7 +431,7 @@ class Followed(Protocol):
         """Return the unit tangents at arc lengths (n,) [m], (n, 3)."""
 
 
-class ClosestPlacement:
+class ClosestRouteFollower:
     """The whole arm as close to a path as possible: least squares over the ends of all links.
 
     The distances across the path are minimised from one depth to the next by a few Gauss-Newton steps within
@@ -473,7 +473,7 @@ class ClosestPlacement:
         self._check_distances()
         return self.positions
 
-    def on(self, path: Followed) -> ClosestPlacement:
+    def on(self, path: Followed) -> ClosestRouteFollower:
         """Return a placement that goes on from this one, on a path that differs ahead of the arm."""
         other = copy(self)  # arrays are replaced, never written to
         other._path = path
@@ -638,12 +638,14 @@ def follow_leader(
     max_step = FEED_MOTION.max_step * float(fed.links.chain.module_lengths.min())
     deepest = _depth(route, depth)
     depths, interval = advance(deepest, speed, interval, max_step)
-    placing: ClosestPlacement | SequentialPlacement
-    placing = ClosestPlacement(fed, route.whole) if method == "closest" else SequentialPlacement(route)
+    follower: ClosestRouteFollower | SequentialRouteFollower
+    follower = (
+        ClosestRouteFollower(fed, route.whole) if method == "closest" else SequentialRouteFollower(route)
+    )
     offsets = np.zeros((len(depths), arm.nv))
     for row, at in enumerate(depths):
         try:
-            positions = placing.place(float(at))
+            positions = follower.place(float(at))
         except TargetError as failure:
             module = failure.module + arm.n_modules - fed.body.n_modules
             reason = f"{failure.reason} (at a depth of {length_text(float(at))})"

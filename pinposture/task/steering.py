@@ -21,7 +21,7 @@ from pinposture.control.planner.geodesic import GEODESIC
 from pinposture.curve import Curve
 from pinposture.errors import TargetError, raise_together
 from pinposture.placement.target import Target, target_at
-from pinposture.task.follow_leader import ClosestPlacement, FedArm, allowed_deviation
+from pinposture.task.follow_leader import ClosestRouteFollower, FedArm, allowed_deviation
 from pinposture.units import ROUNDING, length_text
 
 Array = NDArray[np.float64]
@@ -193,14 +193,14 @@ class _Posture(NamedTuple):
     """A posture on a path.
 
     Attributes:
-        placement: how the body lies on the path.
+        follower: how the body lies on the path.
         path: the path.
         depth: how far the feed has moved from the start [m].
         q: the configuration, (nq,).
         reason: why the feed moved less than asked for; empty if it did not.
     """
 
-    placement: ClosestPlacement
+    follower: ClosestRouteFollower
     path: LaidPath
     depth: float
     q: Array
@@ -255,7 +255,7 @@ class Steering:
         self.reason = ""
         frame = entry_frame(fed.axis, np.asarray(arm.model.gravity.linear))
         path = LaidPath(fed.tip - fed.run_up * fed.axis, frame, fed.run_up, fed.max_tip_lead)
-        self._posture = _Posture(ClosestPlacement(fed, path), path, 0.0, fed.start, "")
+        self._posture = _Posture(ClosestRouteFollower(fed, path), path, 0.0, fed.start, "")
         self._model: CollisionModel | None = None
         self._asked = np.zeros(2)
         self._eased = 0
@@ -283,7 +283,7 @@ class Steering:
     @property
     def frame(self) -> Array:
         """The axes of the path at the tip, world frame, (3, 3): columns are ahead, to the left, and up."""
-        return self._posture.path.frame(self._posture.placement.tip)
+        return self._posture.path.frame(self._posture.follower.tip)
 
     @property
     def path(self) -> Curve:
@@ -295,7 +295,7 @@ class Steering:
             CurveError: the tip has not moved.
         """
         begin = self._fed.run_up
-        end = max(self._posture.placement.tip, begin + self.depth)  # links that cut bends short lead or lag
+        end = max(self._posture.follower.tip, begin + self.depth)  # links that cut bends short lead or lag
         interval = float(self._fed.links.chain.module_lengths.mean()) / STEERING.samples
         count = max(int(np.ceil((end - begin) / interval)), 4)
         s = np.asarray(begin + (end - begin) / count * np.arange(count + 2), dtype=np.float64)
@@ -358,7 +358,7 @@ class Steering:
         if distance > 0.0 and curvature is not None:
             return self._lay(distance, curvature, foresees)
         path = self._posture.path
-        missing = self._posture.placement.tip + 2.0 * distance + self._stop(distance) - path.end
+        missing = self._posture.follower.tip + 2.0 * distance + self._stop(distance) - path.end
         path = path if missing <= 0.0 else path.extended(path.end, missing, np.zeros(2))
         return self._move(distance, path, foresees)
 
@@ -396,7 +396,7 @@ class Steering:
     def _move_on_arc(self, distance: float, curvature: Array, foresees: bool) -> _Posture | str:
         """Return the posture after a distance [m] along an arc from the tip on, or why there is none."""
         laid = self._posture.path
-        tip = self._posture.placement.tip
+        tip = self._posture.follower.tip
         if np.any(curvature):  # an arc that the arm could not follow must not be begun
             ahead = STEERING.foreseen * float(self._fed.body.chain.module_lengths.max())
             arc = laid.extended(tip, ahead + distance, curvature)
@@ -427,8 +427,8 @@ class Steering:
             placed = self._place(depth, path)
             if isinstance(placed, str):
                 return placed
-            placement = placed
-            q = self._configuration(placement)
+            follower = placed
+            q = self._configuration(follower)
             joint, share = self._fastest(q)
             if share <= 1.0 + ROUNDING:
                 break
@@ -448,7 +448,7 @@ class Steering:
         elif asked != self.depth + distance:
             how = "stands" if asked == self.depth + room else "slower"
             reason = f"{how}: {self._describe_end(distance, most)}"
-        return _Posture(placement, path, depth, q, reason)
+        return _Posture(follower, path, depth, q, reason)
 
     def _foresee(self, depth: float, path: LaidPath, withdraws: bool) -> str:
         """Return what is in the way until the feed stops after a move to a depth [m]; empty if nothing is."""
@@ -464,25 +464,25 @@ class Steering:
         """Return the largest depth on a path [m]: the travel, or where the feed leaves the path."""
         return min(self._fed.travel, path.straight_up_to(STEERING.straight * self._fed.length))
 
-    def _place(self, depth: float, path: LaidPath) -> ClosestPlacement | str:
+    def _place(self, depth: float, path: LaidPath) -> ClosestRouteFollower | str:
         """Lay the body on a path at a depth [m]; return why it cannot follow the path, if it cannot."""
-        placement = self._posture.placement.on(path)
+        follower = self._posture.follower.on(path)
         try:
-            placement.place(depth)
+            follower.place(depth)
         except TargetError:
             return "the arm cannot follow the path"
-        off = float(placement.distances.max())
+        off = float(follower.distances.max())
         allowed = allowed_deviation(self._fed, path.largest_curvature)
         if off > allowed and depth > self.depth:
             return f"a link would be more than {length_text(allowed)} off the path"
-        return placement
+        return follower
 
-    def _configuration(self, placement: ClosestPlacement) -> Array:
+    def _configuration(self, follower: ClosestRouteFollower) -> Array:
         """Return the configuration with the body on its path, (nq,)."""
         fed = self._fed
         offsets = np.zeros(self.arm.nv)
-        offsets[fed.column] = fed.sense * placement.depth
-        offsets[fed.columns] = placement.positions - fed.straight
+        offsets[fed.column] = fed.sense * follower.depth
+        offsets[fed.columns] = follower.positions - fed.straight
         return self.arm.integrate(fed.start, offsets)
 
     def _fastest(self, q: Array) -> tuple[int, float]:
