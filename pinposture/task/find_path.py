@@ -325,7 +325,7 @@ class _ArcTree:
         self._plane = plane
         self._space = space
         distance = float(np.linalg.norm(goal - start))
-        self._stride = min(max(1.0 / bend, arm_length / 25.0), 0.5 * distance)
+        self._longest = min(max(1.0 / bend, arm_length / 25.0), 0.5 * distance)
         self._spacing = min(1.0 / (TREES.points_per_radius * bend), distance / TREES.points_per_path)
         room = TREES.room * max(distance, 0.5 * arm_length)
         self._low = np.minimum(start, goal) - room
@@ -421,10 +421,10 @@ class _ArcTree:
         return inf if arcs is None else sum(arc.length for arc in arcs)
 
     def _towards(self, position: Array, tangent: Array, aim: Array) -> _Arc:
-        """Return an arc of at most a stride that comes as close to an aim as the curvature allows."""
+        """Return an arc, of a largest length, that comes as close to an aim as the curvature allows."""
         direct = _arc_to(position, tangent, aim, self._bend)
         if direct is not None:
-            return direct._replace(length=min(direct.length, self._stride))
+            return direct._replace(length=min(direct.length, self._longest))
         offset = aim - position
         side = offset - tangent * (tangent @ offset)
         size = float(np.linalg.norm(side))
@@ -432,7 +432,7 @@ class _ArcTree:
             across = self._plane - np.outer(self._plane @ tangent, tangent)
             side = across[int(np.argmax((across**2).sum(axis=1)))]
             size = float(np.linalg.norm(side))
-        return _Arc(position, tangent, side / size, self._bend, self._stride)
+        return _Arc(position, tangent, side / size, self._bend, self._longest)
 
     def _is_free(self, arc: _Arc) -> bool:
         count = max(int(np.ceil(arc.length / (0.5 * self._space.radius))), 2)

@@ -637,7 +637,7 @@ def follow_leader(
     fed = route.fed
     max_step = FEED_MOTION.max_step * float(fed.links.chain.module_lengths.min())
     deepest = _depth(route, depth)
-    depths, interval = advance(deepest, speed, interval, max_step)
+    depths, interval = depths_in_time(deepest, speed, interval, max_step)
     follower: ClosestRouteFollower | SequentialRouteFollower
     follower = (
         ClosestRouteFollower(fed, route.whole) if method == "closest" else SequentialRouteFollower(route)
@@ -668,14 +668,14 @@ def follow_leader(
     return Reference(arm, interval, begin, offsets, weights, tuple(waypoints))
 
 
-def advance(depth: float, speed: float, interval: float, stride: float) -> tuple[Array, float]:
+def depths_in_time(depth: float, speed: float, interval: float, max_step: float) -> tuple[Array, float]:
     """Compute the depth of the arm at equal time intervals.
 
     Args:
         depth: final depth [m].
         speed: largest speed [m/s].
         interval: time between two depths [s].
-        stride: largest distance between two depths [m].
+        max_step: largest distance between two depths [m].
 
     Returns:
         Depths from 0, (N + 1,) [m], and the time between two of them [s]: the interval, or a whole fraction
@@ -685,11 +685,11 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
         InvalidValue: more than `FEED_MOTION.max_rows` of them.
     """
     full = 1.0 + 2.0 * FEED_MOTION.ramp_share  # duration, relative to that at full speed
-    rows = full * depth / min(speed * interval, stride)
+    rows = full * depth / min(speed * interval, max_step)
     if not rows <= FEED_MOTION.max_rows:
         allowed = f"a speed for at most {FEED_MOTION.max_rows} rows; this one needs {rows:.3g}"
         raise InvalidValue("speed", speed, allowed)
-    interval = interval / max(int(np.ceil(speed * interval / stride)), 1)
+    interval = interval / max(int(np.ceil(speed * interval / max_step)), 1)
     steps = max(int(np.ceil(full * depth / speed / interval)), 2)
     ramp = 2.0 * FEED_MOTION.ramp_share / full  # share of the duration, in which half the distance is covered
     t = np.linspace(0.0, 1.0, steps + 1)

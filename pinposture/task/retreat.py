@@ -38,11 +38,11 @@ Array = NDArray[np.float64]
 class RetreatSettings(NamedTuple):
     """How an arm is led back along the path by which it came."""
 
-    stride: float = 0.25
+    spacing: float = 0.25
     """Largest motion of a control point from one posture of the way back to the next, in module lengths."""
 
     halvings: int = 3
-    """How often a stride that is not clear is halved."""
+    """How often a motion between them that is not clear is halved."""
 
     error: float = 1e-3
     """Mean distance of the control points from the way back at which a posture is close enough to it, in arm
@@ -314,9 +314,9 @@ def _rows(postures: Sequence[int], count: int) -> Sequence[int]:
     return [require_whole("postures", row, 0, count - 1) for row in postures]
 
 
-def _strides(arm: Arm, rows: Array) -> NDArray[np.int64]:
-    """Return the first row, and others between which no control point moves by more than a stride."""
-    max_step = RETREAT.stride * float(arm.chain.module_lengths.mean())
+def _spaced(arm: Arm, rows: Array) -> NDArray[np.int64]:
+    """Return the first row, and others between which control points move by `RETREAT.spacing` at most."""
+    max_step = RETREAT.spacing * float(arm.chain.module_lengths.mean())
     points = np.array([arm.chain_at(q).points for q in rows])
     kept = [0]
     for row in range(1, len(rows) - 1):
@@ -377,7 +377,7 @@ class _Ways:
         self._budget = budget
         self._torques = torques
         self._model = CollisionModel(arm, scene)
-        self._kept = _strides(arm, rows)
+        self._kept = _spaced(arm, rows)
 
     def find(self, row: int, column: int) -> Retreat:
         """Return the way out of a posture with a joint, given by its degree of freedom, that fails."""

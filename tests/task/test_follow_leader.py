@@ -25,7 +25,7 @@ from pinposture.errors import (
     UnknownName,
     UnsupportedModule,
 )
-from pinposture.task.follow_leader import advance, follow_leader, path_deviation
+from pinposture.task.follow_leader import depths_in_time, follow_leader, path_deviation
 from pinposture.task.perform import perform
 from pinposture.task.reference import off_curve
 from pinposture.units import length_text
@@ -266,7 +266,7 @@ def test_rows_are_close_together_however_long_the_interval():
 @examples(40)
 @given(st.floats(0.01, 2.0), st.floats(0.01, 1.0), st.floats(0.01, 0.5))
 def test_the_feed_starts_and_stops_gently(depth, speed, interval):
-    depths, interval = advance(depth, speed, interval, 0.02)
+    depths, interval = depths_in_time(depth, speed, interval, 0.02)
     step = np.diff(depths)
     assert depths[0] == 0.0
     assert depths[-1] == pytest.approx(depth, rel=1e-12)
