@@ -242,7 +242,7 @@ def reach(
 
 def reach_from(
     arm: Arm,
-    place: ArrayLike,
+    goal: ArrayLike,
     start: ArrayLike,
     scene: Scene | None = None,
     limits: Limits | None = None,
@@ -252,7 +252,7 @@ def reach_from(
 
     Args:
         arm: the arm.
-        place: the goal of the tip, (3,) [m], world frame, or a pose, as for `reach`.
+        goal: the goal of the tip, (3,) [m], world frame, or a pose, as for `reach`.
         start: the initial posture, (nq,).
         scene: the obstacles and their margin; None: no obstacles.
         limits: the margin to position limits; `Limits()` if None.
@@ -266,10 +266,10 @@ def reach_from(
         OutOfReach: the goal is out of reach.
         ReachError: the goal is inside an obstacle.
     """
-    goal = _Goal.of_tip(tip_task(arm, place, direction))
+    tip = _Goal.of_tip(tip_task(arm, goal, direction))
     tolerance = CONVERGED * arm.length
-    _check_in_reach(arm, goal, tolerance, scene)
-    search = _Search(arm, goal, scene, Limits() if limits is None else limits, tolerance)
+    _check_in_reach(arm, tip, tolerance, scene)
+    search = _Search(arm, tip, scene, Limits() if limits is None else limits, tolerance)
     state = arm.chain_at(arm.checked_start(start, "start"))
     return search.descend(state)
 
@@ -339,19 +339,19 @@ class _Goal(NamedTuple):
     Attributes:
         task: the task of bringing them there.
         points: their indices, (k,).
-        places: their positions there, (k, 3) [m].
+        positions: their positions there, (k, 3) [m].
         who: what they are called in messages.
     """
 
     task: EndEffector | _PointPositions
     points: NDArray[np.intp]
-    places: Array
+    positions: Array
     who: str
 
     @classmethod
     def of_tip(cls, task: EndEffector) -> _Goal:
         """Return the goal of the tip."""
-        return cls(task, np.array([-1]), _place_of(task)[None], "the tip")
+        return cls(task, np.array([-1]), _position_of(task)[None], "the tip")
 
     @classmethod
     def of(cls, arm: Arm, goal: Any, direction: ArrayLike | None) -> _Goal:
@@ -366,16 +366,16 @@ class _Goal(NamedTuple):
 
     def distance(self, points: Array) -> float:
         """Return the largest distance of a control point, of all (m, 3), from where it should be [m]."""
-        return float(np.linalg.norm(points[self.points] - self.places, axis=1).max())
+        return float(np.linalg.norm(points[self.points] - self.positions, axis=1).max())
 
 
-def _place_of(task: EndEffector) -> Array:
+def _position_of(task: EndEffector) -> Array:
     return np.asarray(task.position if task.pose is None else task.pose[:3, 3])
 
 
 def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) -> None:
     """Raise OutOfReach for a goal that is farther from the base than the arm is long, by a tolerance [m]."""
-    position = _place_of(task)
+    position = _position_of(task)
     away = float(np.linalg.norm(position - arm.chain.base))
     most = arm.length + arm.travel
     if away > most + max(tolerance, CONVERGED * arm.length):
@@ -388,10 +388,10 @@ def require_within_reach(arm: Arm, task: EndEffector, tolerance: float = 0.0) ->
 
 def _check_in_reach(arm: Arm, goal: _Goal, tolerance: float, scene: Scene | None) -> None:
     """Refuse goals that no posture can reach."""
-    checks = [partial(_check_outside, scene, place, goal.who) for place in goal.places]
+    checks = [partial(_check_outside, scene, position, goal.who) for position in goal.positions]
     if isinstance(goal.task, EndEffector):
         checks.insert(0, partial(require_within_reach, arm, goal.task, tolerance))
-        checks.insert(1, partial(_check_plane, arm, goal.places[0], tolerance))
+        checks.insert(1, partial(_check_plane, arm, goal.positions[0], tolerance))
         checks.append(partial(_check_orientation, arm, goal.task, tolerance))
     raise_together(gather(*checks))
 
@@ -431,7 +431,7 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
         reason = (
             f"the tip {how}, and cannot take this orientation: it is off by at least {off:.3g} (allowed: "
         )
-        raise OutOfReach(_place_of(task), f"{reason}{tolerance / arm.characteristic_length:.2g})")
+        raise OutOfReach(_position_of(task), f"{reason}{tolerance / arm.characteristic_length:.2g})")
 
 
 def _half_ranges(arm: Arm) -> tuple[Array, Array]:
@@ -596,7 +596,7 @@ class _Search:
                 break
         if not postures:
             goal = self.goal
-            raise ReachError(goal.places[-1], self._explain_failure(nearest, intruding), goal.who)
+            raise ReachError(goal.positions[-1], self._explain_failure(nearest, intruding), goal.who)
         return sorted(postures, key=lambda posture: -posture.score)
 
     def bring_near(self, state: ChainState, waves: int, rng: np.random.Generator) -> tuple[ChainState, float]:

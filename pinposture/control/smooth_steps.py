@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 class SmoothStepTolerances(NamedTuple):
     """What of steps under a jerk limit is due to rounding."""
 
-    place: float = 1e-9
+    share: float = 1e-9
     """Share of a nominal cycle that is attributed to rounding."""
 
     rate: float = 1e-6
@@ -75,7 +75,7 @@ class SmoothSteps:
 
     def needs_step(self, share: float) -> bool:
         """Whether a cycle, of a share of the nominal one, needs a step of the controller."""
-        return not self.active or self._s + share > 1.0 + SMOOTHING.place
+        return not self.active or self._s + share > 1.0 + SMOOTHING.share
 
     def advance(self, share: float, dq: Array | None) -> Array:
         """Return the step of the arm in a cycle, (nv,) [rad or m].

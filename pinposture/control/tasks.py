@@ -707,8 +707,8 @@ class Tangents(ComparableTask):
         for k in listed:
             if isinstance(k, str) or not -m <= k < m:
                 raise InvalidValue("points", k, f"whole numbers from {-m} to {m - 1}")
-        places = np.array([k % m for k in listed if not isinstance(k, str)], dtype=np.intp)
-        return cls(target.curve.tangent(target.parameters[places]), places.tolist(), weight, length)
+        indices = np.array([k % m for k in listed if not isinstance(k, str)], dtype=np.intp)
+        return cls(target.curve.tangent(target.parameters[indices]), indices.tolist(), weight, length)
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
         """Return two rows for each point, one in a plane; see `ControlTask.rows`."""

@@ -50,7 +50,7 @@ class PoseHistory:
     def __init__(self, length: float) -> None:
         self._least_noise = OBSTACLE_VELOCITY.exact_pose * length
         self._times = np.zeros(0)
-        self._places = np.zeros((0, 3))
+        self._positions = np.zeros((0, 3))
         self._axes = np.zeros((0, 9))
         self._velocity = np.zeros(6)
         self._uncertain = 0
@@ -61,15 +61,15 @@ class PoseHistory:
         position = pose.translation
         axes = pose.rotation.ravel()
         known = len(self._times) > 0
-        if known and np.array_equal(position, self._places[-1]) and np.array_equal(axes, self._axes[-1]):
+        if known and np.array_equal(position, self._positions[-1]) and np.array_equal(axes, self._axes[-1]):
             if len(self._times) == 1 or self._is_overdue(time):
                 self._times = np.array([time])
-                self._places = self._places[-1:]
+                self._positions = self._positions[-1:]
                 self._axes = self._axes[-1:]
                 self._velocity = np.zeros(6)
             return
         self._times = np.append(self._times[1 - OBSTACLE_VELOCITY.poses :], time)
-        self._places = np.vstack([self._places[1 - OBSTACLE_VELOCITY.poses :], position])
+        self._positions = np.vstack([self._positions[1 - OBSTACLE_VELOCITY.poses :], position])
         self._axes = np.vstack([self._axes[1 - OBSTACLE_VELOCITY.poses :], axes])
         if len(self._times) >= RATE_FIT.fewest:
             self._estimate(pose.rotation)
@@ -91,7 +91,7 @@ class PoseHistory:
     def _estimate(self, rotation: Array) -> None:
         """Estimate the velocity; the former one stays while the last poses jump or turn off."""
         linear = np.zeros(3)
-        moves = kernels.fit_rate(self._times, self._places, self._least_noise, linear)
+        moves = kernels.fit_rate(self._times, self._positions, self._least_noise, linear)
         turn = np.zeros(9)
         turns = kernels.fit_rate(self._times, self._axes, OBSTACLE_VELOCITY.exact_pose, turn)
         self._uncertain = 0 if moves and turns else self._uncertain + 1

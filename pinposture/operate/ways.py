@@ -25,7 +25,7 @@ from pinposture.task import Leader, Task
 from pinposture.task.phases import is_phased
 from pinposture.task.retreat import WayIn, can_retreat, nearest_posture
 from pinposture.task.steering import describe_contact, margin_back, moving_target
-from pinposture.task.wrap import path_through, places_in_time
+from pinposture.task.wrap import path_through, s_in_time
 from pinposture.units import CONVERGED
 
 Array = NDArray[np.float64]
@@ -79,8 +79,8 @@ class PlannedWay:
         self.arm = path.arm
         self.name = name
         self.path = path
-        self._places = places_in_time(path, limits)
-        self._offsets = path.smooth_offset(self._places)
+        self._s = s_in_time(path, limits)
+        self._offsets = path.smooth_offset(self._s)
         self._rows = np.asarray(path.arm.integrate(path.start, self._offsets))
         self.goal = np.array(self._rows[-1])
         self.end = len(self._rows) - 1
@@ -118,9 +118,9 @@ class PlannedWay:
         """Displacements from where it is driven to it and the waypoints ahead, (n, nv) [rad or m]."""
         row = self._row(self.at)
         share = self.at - row
-        place = (1.0 - share) * self._places[row] + share * self._places[row + 1]
+        s = (1.0 - share) * self._s[row] + share * self._s[row + 1]
         here = (1.0 - share) * self._offsets[row] + share * self._offsets[row + 1]
-        ahead = self.path.offsets[int(place) + 1 :] - here
+        ahead = self.path.offsets[int(s) + 1 :] - here
         return np.vstack([np.zeros((1, self.arm.nv)), ahead])
 
     def move(self, rate: float, scene: Scene) -> Target:
@@ -415,9 +415,9 @@ class Ways:
         self._found = done
 
 
-def _is_at(arm: Arm, q: Array, place: Array) -> bool:
+def _is_at(arm: Arm, q: Array, goal: Array) -> bool:
     """Return whether a configuration is at another one, (nq,), but for rounding."""
-    return bool(np.all(np.abs(arm.difference(q, place)) <= CONVERGED * arm.joint_units))
+    return bool(np.all(np.abs(arm.difference(q, goal)) <= CONVERGED * arm.joint_units))
 
 
 def towards(arm: Arm, goal: Target, limits: Limits, name: str) -> FindPath:
@@ -501,7 +501,7 @@ class CurveAlong(NamedTuple):
         return cls(q, np.array(_line_along(arm, q).controlled(WAYS.handles).coefficients))
 
     def target(self, arm: Arm) -> Target:
-        """Return the target of an arm whose control points are moved as their places on the curve are.
+        """Return the target of an arm whose control points are moved as the points of the curve are.
 
         Raises:
             CurveError: control points that coincide.
@@ -511,8 +511,8 @@ class CurveAlong(NamedTuple):
         before = line.controlled(WAYS.handles)
         after = Curve.spline(self.points)
         lengths = np.linalg.norm(np.diff(line.coefficients, axis=0), axis=1)
-        places = np.append(0.0, np.cumsum(lengths))[-len(points) :]
-        points += _extended(after, places) - _extended(before, places)
+        s = np.append(0.0, np.cumsum(lengths))[-len(points) :]
+        points += _extended(after, s) - _extended(before, s)
         return Target.from_points(arm, points)
 
 
@@ -524,11 +524,11 @@ def _line_along(arm: Arm, q: Array) -> Curve:
     return Curve.spline(points, degree=1)
 
 
-def _extended(curve: Curve, places: Array) -> Array:
+def _extended(curve: Curve, s: Array) -> Array:
     """Return the points of a curve, straight on behind its end, at arc lengths (n,) [m], (n, 3) [m]."""
-    beyond = np.maximum(places - curve.length, 0.0)
+    beyond = np.maximum(s - curve.length, 0.0)
     ahead = curve.tangent(np.array([curve.length]))[0]
-    return np.asarray(curve.at(np.minimum(places, curve.length)) + beyond[:, None] * ahead)
+    return np.asarray(curve.at(np.minimum(s, curve.length)) + beyond[:, None] * ahead)
 
 
 class NextStep(NamedTuple):

@@ -217,8 +217,8 @@ class ShapeReadings:
         """
         frame = message.header.frame_id
         base = self._frames.fixed(frame) if frame in self._frames.names else None
-        place = message.pose.position
-        position = np.array([place.x, place.y, place.z])
+        point = message.pose.position
+        position = np.array([point.x, point.y, point.z])
         rotation = _rotation(message.pose.orientation)
         fault = self._fault_of_stamp(TIP, stamp_of(message), now)
         if base is None:

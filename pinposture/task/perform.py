@@ -150,11 +150,11 @@ class ReferencePath:
         bound = PATH.speed_share * self.timed.bounds.bound
         full = np.maximum((slopes / bound).max(axis=1), PERFORM.row_tolerance)  # cycles per row at full speed
         begin = 0
-        places = self.timed.s
+        s = self.timed.s
         for waypoint in self.reference.waypoints:
             if waypoint.speed < 1.0:
-                cycles = np.searchsorted(places, (begin, waypoint.row)) + (-beside, beside)
-                first, last = places[np.clip(cycles, 0, len(places) - 1)]
+                cycles = np.searchsorted(s, (begin, waypoint.row)) + (-beside, beside)
+                first, last = s[np.clip(cycles, 0, len(s) - 1)]
                 piece = slice(min(int(first), begin), max(ceil(last), waypoint.row))
                 self._rates[piece] = np.minimum(self._rates[piece], waypoint.speed / full[piece])
             begin = waypoint.row
@@ -170,9 +170,9 @@ class ReferencePath:
         module = self.path.arm.length / self.path.arm.n_modules
         moving = np.flatnonzero(np.any(np.abs(np.diff(offsets, axis=0)) > PERFORM.held_rounding, axis=1))
         for _ in range(PERFORM.max_slowdowns if cycles > 1 else 0):
-            places = np.pad(self.timed.s, (cycles - 1, cycles), mode="edge")
+            s = np.pad(self.timed.s, (cycles - 1, cycles), mode="edge")
             slower = False
-            passed = np.cumsum(np.append(0.0, places))
+            passed = np.cumsum(np.append(0.0, s))
             means = (passed[cycles:] - passed[:-cycles]) / cycles
             for waypoint in self.reference.waypoints:
                 left = moving[np.searchsorted(moving, waypoint.row) :]
@@ -181,7 +181,7 @@ class ReferencePath:
                 if not 0 < after < len(means):
                     continue
                 share = (middle - means[after - 1]) / (means[after] - means[after - 1])
-                averaged = places[after - 1 : after + cycles]
+                averaged = s[after - 1 : after + cycles]
                 averaged = (1.0 - share) * averaged[:-1] + share * averaged[1:]
                 allowed = PERFORM.waypoint_share * PERFORM.max_mean_lag * module
                 excess = self._distance(averaged, middle) / allowed
@@ -380,7 +380,7 @@ class _Performance:
         self._max_lag = PERFORM.max_mean_lag * loop.arm.length / loop.arm.n_modules
         self._latest: deque[float] = deque(maxlen=loop.filter.cycles)
         self._set_s(0.0)
-        self._places = [0.0]
+        self._s_after = [0.0]
         self._targets = [guide.target(0.0)]
         self._start_index: int | None = None  # None until the first posture is reached
         self._notes: list[str] = []
@@ -401,7 +401,7 @@ class _Performance:
         status, reason = self._go_to(0.0)
         if status != "converged":
             return status, f"on the way to the first posture: {reason}"
-        self._start_index = len(self._places) - 1
+        self._start_index = len(self._s_after) - 1
         controller = self.loop.controller
         ended = self._look_ahead() if isinstance(controller, Geodesic) else self._lead()
         return self._go_to(self.guide.end) if ended is None else ended
@@ -410,12 +410,12 @@ class _Performance:
         """Return everything so far as a result; "missed" if only the last of its postures was reached."""
         reference = self.guide.reference
         loop = self.loop
-        places = np.array(self._places)
+        s = np.array(self._s_after)
         run = loop.record.run(loop.arm, loop.controller, loop.limits, status, reason)
-        run = replace(run, held=self._held(places))
+        run = replace(run, held=self._held(s))
         nexts = [*(waypoint.row for waypoint in reference.waypoints[1:]), np.inf]
         results = tuple(
-            self._result(waypoint, until, places, run)
+            self._result(waypoint, until, s, run)
             for waypoint, until in zip(reference.waypoints, nexts, strict=False)
         )
         if status == "converged" and any(result.missed for result in results):
@@ -425,24 +425,24 @@ class _Performance:
             run=run,
             targets=np.array([target.points for target in self._targets]),
             target_mask=np.array([target.has_target for target in self._targets]),
-            plan_time=self.guide.time(places),
-            start_index=len(places) - 1 if self._start_index is None else self._start_index,
+            plan_time=self.guide.time(s),
+            start_index=len(s) - 1 if self._start_index is None else self._start_index,
             planned=float(self.guide.times[-1]),
             waypoints=results,
             deviations=tuple(self._notes),
         )
 
-    def _held(self, places: Array) -> tuple[HeldObject, ...]:
+    def _held(self, s: Array) -> tuple[HeldObject, ...]:
         """Return what the arm held, in rows of the motion, given s in each."""
         planned = self.guide.reference.held
-        rows = [np.searchsorted(places, (part.begin, part.end)).tolist() for part in planned]
+        rows = [np.searchsorted(s, (part.begin, part.end)).tolist() for part in planned]
         return tuple(
             replace(part, begin=begin, end=end)
             for part, (begin, end) in zip(planned, rows, strict=True)
             if begin < end
         )
 
-    def _result(self, waypoint: Waypoint, until: float, places: Array, run: Run) -> WaypointResult:
+    def _result(self, waypoint: Waypoint, until: float, s: Array, run: Run) -> WaypointResult:
         """Return how a waypoint was passed, before the next one, which is at `until`.
 
         That is at the first step at which the arm is near it; at the step nearest in time if it never is.
@@ -452,14 +452,14 @@ class _Performance:
         moved = waypoint.target.moved
         planned = float(self.guide.times[waypoint.row])
         off = off_curve(waypoint)
-        there = np.flatnonzero(places[begun:] >= waypoint.row - PERFORM.row_tolerance)
+        there = np.flatnonzero(s[begun:] >= waypoint.row - PERFORM.row_tolerance)
         if begun is None or not len(there):
             never = WaypointResult(waypoint.name, planned, None, None, None, off)
             return never._replace(moved=moved, speed=waypoint.speed)
         row = begun + int(there[0])
-        if row > begun and waypoint.row - places[row - 1] < places[row] - waypoint.row:
+        if row > begun and waypoint.row - s[row - 1] < s[row] - waypoint.row:
             row -= 1
-        end = max(row + 1, begun + int(np.searchsorted(places[begun:], until - PERFORM.row_tolerance)))
+        end = max(row + 1, begun + int(np.searchsorted(s[begun:], until - PERFORM.row_tolerance)))
         chosen = waypoint.target.has_target
         first = max(row - 1, 0)
         points = run.points[first : end + 1]
@@ -474,7 +474,7 @@ class _Performance:
         tip = tip_off(waypoint.tip, waypoint.target, reference.arm.at(run.q[row]))
         if waypoint.way is not None:
             since = max([other.row for other in reference.waypoints if other.row < waypoint.row], default=0)
-            first = begun + int(np.searchsorted(places[begun : row + 1], since))
+            first = begun + int(np.searchsorted(s[begun : row + 1], since))
             off = waypoint.way.distance(run.q[min(first, row) : row + 1])
             missed = missed or off > self._max_distance(waypoint.way)
         return WaypointResult(
@@ -545,7 +545,7 @@ class _Performance:
 
     def _record(self, s: float, target: Target) -> tuple[str, str] | None:
         """Record s after a step; return status and reason if the motion ends there."""
-        self._places.append(s)
+        self._s_after.append(s)
         self._targets.append(target)
         if self._scene is not None:
             self._enter_stage(s, self._scene)
@@ -570,10 +570,10 @@ class _Performance:
 
     def _fill(self, s: float, target: Target) -> None:
         """Record the steps towards a target during which the plan did not advance."""
-        missing = self.loop.record.steps + 1 - len(self._places)
-        self._places += [self._places[-1]] * missing
+        missing = self.loop.record.steps + 1 - len(self._s_after)
+        self._s_after += [self._s_after[-1]] * missing
         self._targets += [target] * missing
-        self._places[-1] = s
+        self._s_after[-1] = s
 
     def _note(self, s: float, text: str) -> None:
         """Record a deviation from the plan."""

@@ -619,15 +619,15 @@ def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
     return np.vstack([np.zeros(arm.nv), np.cumsum(steps, axis=0)])
 
 
-def places_in_time(path: JointPath, limits: Limits) -> Array:
-    """Return the places on a path after each cycle of the motion along it, two at least, (n,) [waypoints]."""
-    places = retime(path, limits).s
-    return places if len(places) > 1 else np.zeros(2)  # it is there already, and rests for a cycle
+def s_in_time(path: JointPath, limits: Limits) -> Array:
+    """Return s on a path after each cycle of the motion along it, two at least, (n,) [waypoints]."""
+    s = retime(path, limits).s
+    return s if len(s) > 1 else np.zeros(2)  # it is there already, and rests for a cycle
 
 
 def _timed(path: JointPath, limits: Limits) -> JointTrajectory:
     """Return the motion along a path."""
-    rows = path.arm.integrate(path.start, path.smooth_offset(places_in_time(path, limits)))
+    rows = path.arm.integrate(path.start, path.smooth_offset(s_in_time(path, limits)))
     return JointTrajectory.from_configurations(path.arm, rows, cycle_of(limits))
 
 

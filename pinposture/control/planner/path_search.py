@@ -280,11 +280,11 @@ class PathSearch:
         by up to 17 mm of an arm of 1 m. The shorter the pieces, the less it does.
         """
         lengths = np.abs(np.diff(path, axis=0) / self._units).max(axis=1)
-        places = np.append(0.0, np.cumsum(lengths))
-        count = _even_pieces(places[-1])
+        s = np.append(0.0, np.cumsum(lengths))
+        count = _even_pieces(s[-1])
         for finer in (1, 2, 4):
-            even_places = np.linspace(0.0, places[-1], finer * count + 1)
-            even = np.column_stack([np.interp(even_places, places, joint) for joint in path.T])
+            even_s = np.linspace(0.0, s[-1], finer * count + 1)
+            even = np.column_stack([np.interp(even_s, s, joint) for joint in path.T])
             rounded = self._rounded(even)
             if rounded is not None:
                 return rounded
@@ -295,12 +295,12 @@ class PathSearch:
         smooth = even.copy()
         for _ in range(SHORTENING.roundings):
             smooth[1:-1] = 0.25 * smooth[:-2] + 0.5 * smooth[1:-1] + 0.25 * smooth[2:]
-        places = np.arange(0.0, len(even) - 0.5, 0.5)
+        s = np.arange(0.0, len(even) - 0.5, 0.5)
         share = np.ones((len(even), 1))
         for _ in range(SHORTENING.rounding_halvings):
             path = even + share * (smooth - even)
             curve = JointPath(self.problem.objective, self._start.q, path)
-            close = self._close_pieces(curve.smooth_offset(places))
+            close = self._close_pieces(curve.smooth_offset(s))
             if not close:
                 return path if self.is_clear(path) else None
             for piece in close:
@@ -399,8 +399,8 @@ class PathSearch:
         samples = rng.uniform(*self._sides, size=(count, arm.nv))
         is_smooth = (kinds >= TREES.uniform_share) & (kinds < 0.5 * (1.0 + TREES.uniform_share))
         smooth = int(is_smooth.sum())
-        places = max(len(joints) for joints in arm.module_joints)
-        sizes = rng.normal(size=(smooth, places, 3))
+        most_joints = max(len(joints) for joints in arm.module_joints)
+        sizes = rng.normal(size=(smooth, most_joints, 3))
         phases = rng.uniform(0.0, 2.0 * np.pi, sizes.shape)
         amplitudes = self._share * rng.uniform(0.1, TREES.most_amplitude, smooth)
         samples[is_smooth] = smooth_positions(arm, sizes, phases, amplitudes) - self._positions

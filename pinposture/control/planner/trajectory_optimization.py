@@ -36,7 +36,7 @@ from pinposture.kernels.arrays import Contacts, PathContacts, PathProblem, PathR
 Array = NDArray[np.float64]
 
 RowsAlongPath = Callable[[ChainState, float], LinearRows]
-"""Returns rows whose squares are added to the energy, for a state and its place on the path in [0, 1]."""
+"""Returns rows whose squares are added to the energy, for a state and its position on the path in [0, 1]."""
 
 
 class Penalties(NamedTuple):
@@ -354,10 +354,10 @@ class _Waypoints:
     def space(self, offsets: Array, pieces: int) -> Array:
         """Return waypoints on a path, (N + 1, nv), equidistant in the metric of the planner."""
         objective = self.objective
-        places = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
-        even_places = np.linspace(0.0, places[-1], pieces + 1)
+        s = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
+        even_s = np.linspace(0.0, s[-1], pieces + 1)
         x = offsets[:, objective.columns] / objective.units
-        return self._clip(np.column_stack([np.interp(even_places, places, joint) for joint in x.T]))
+        return self._clip(np.column_stack([np.interp(even_s, s, joint) for joint in x.T]))
 
     def relax(self, change: Array, bend: Array) -> Array:
         """Return the waypoints of the most direct path found, with as many pieces as it needs."""
