@@ -127,9 +127,10 @@ def track(
         scene: the obstacles, which "geodesic" avoids, as it keeps the arm clear of itself; with other
             controllers, distances are only recorded. None: the scene of the controller; if that has none, the
             arm is free to pass through itself, but `faults` says so.
-        max_steps: number of steps after which to stop. With acceleration limits, a few more bring a moving
-            arm to rest. None: 300, and with time limits (`dt`) ten times those of the straight path in joint
-            space if that is more.
+        max_steps: number of steps after which to brake, if the arm is still on its way. Within limits of
+            acceleration or torque, more steps bring it to rest, and count in `Run.steps`: where motors are
+            weak, about as many as it took to speed up. None: 300, and with time limits (`dt`) ten times those
+            of the straight path in joint space if that is more.
         tolerance: mean distance of the control points from their targets at which the run converges [m];
             1e-6 of the arm length if None.
         callback: called after each step with its number, 1-based, the state after it and the step, but not
