@@ -212,7 +212,7 @@ def smallest_distance_on_motions(
                             if best < enough:
                                 return best, best_pair, opened
                             aim = best - (tolerance if depth > 0 else 0.0)
-                    elif distance < aim and moved <= open_motion:
+                    elif distance < min(below, best) and moved <= open_motion:
                         bound = distance - moved
                         sample = piece, middle, half, pair, moved, bound
                         opened = _leave_open(open_samples, opened, sample)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
+from pinposture import kernels
 from pinposture.collision import Box, Capsule, Closest, CollisionModel, Cylinder, HalfSpace, Scene, Sphere
 from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.errors import InvalidValue
@@ -467,3 +468,31 @@ def test_an_arm_inside_of_an_obstacle_is_told_so_for_all_of_its_bodies():
     )
     assert not clearance.excluded_pairs or all(each.first == "m01_l1" for each in clearance.excluded_pairs)
     assert clearance.minimum(arm.neutral()).distance < -1.0
+
+
+@pytest.mark.parametrize("turn", [-0.16, -0.2])
+def test_a_bound_at_the_distance_sought_ends_the_search(turn, monkeypatch):
+    """Bodies on both sides of a joint keep the bound of 5 mm: the distance sought less the tolerance.
+
+    A search that halves the motion until that is decided does not end.
+    """
+    arm = pp.Arm.from_template("RyRz", modules=20)
+    found = []
+    search = kernels.smallest_distance_on_motions
+
+    def record(*arguments):
+        found.append(search(*arguments))
+        return found[-1]
+
+    monkeypatch.setattr(kernels, "smallest_distance_on_motions", record)
+    moved = np.zeros((2, arm.nv))
+    moved[1, 30:] = turn
+    start = arm.checked(np.full(arm.nv, 0.1))
+    model = pp.CollisionModel(arm, pp.Scene())
+    least = 0.005 + MOTION_TOLERANCE * arm.length
+    assert model.minimum_on_motions(start, moved, least, least).distance == np.inf
+    assert [opened < 20 for _, _, opened in found] == [True]
+    there = [
+        model.minimum(arm.integrate(start, share * moved[1])).distance for share in np.linspace(0, 1, 50)
+    ]
+    assert min(there) >= least
