@@ -6,7 +6,8 @@
 An arm moves between smooth random postures within limits of velocity and acceleration, with and without
 limits of 1.3 times the torques that hold it at both ends: by steps of the default controller beside a ball,
 by cycles of a `Tracker` beside the ball, and by cycles of one in free space. Each motion is made several
-times, in turn with and without; of each cycle the shortest processor time counts.
+times, in turn with and without; of each cycle the shortest processor time counts. Paths between such postures
+are planned as well, among twelve balls and in free space, and count as cycles do.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from time import process_time_ns
 from typing import NamedTuple
 
@@ -22,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, smooth_configuration
-from pinposture.collision import Scene, Sphere
-from pinposture.control import Geodesic, Limits
+from pinposture.collision import CollisionModel, Scene, Sphere
+from pinposture.control import Geodesic, Limits, plan
 from pinposture.control.controller import Memory
 from pinposture.motion import Tracker
 from pinposture.placement import Target
@@ -55,7 +57,15 @@ class Motion(NamedTuple):
 
 
 Run = Callable[[Motion], Array]
-"""Makes a motion and returns the processor time of each cycle, (CYCLES,) [us]."""
+"""Makes a motion and returns the processor time of each cycle, or of each plan, (c,) [us]."""
+
+PLANS = 15
+"""Number of paths that are planned for each motion."""
+
+
+def held(arm: Arm, *ends: Array) -> float:
+    """Return the torque limit of all joints for a motion between configurations [N m]."""
+    return SPARE * max(float(np.abs(arm.at(q).gravity_torques).max()) for q in ends)
 
 
 def draw(modules: int, seed: int) -> tuple[Motion, Motion]:
@@ -68,9 +78,8 @@ def draw(modules: int, seed: int) -> tuple[Motion, Motion]:
     ball = Sphere(tuple((middle + aside).tolist()), 0.03 * arm.length)
     scene = Scene({"ball": ball}, self_collision=False)
     free = Limits(step=None, velocity=2.0, acceleration=10.0, dt=0.01)
-    effort = SPARE * max(float(np.abs(arm.at(q).gravity_torques).max()) for q in (start, goal))
-    held = Limits(step=None, velocity=2.0, acceleration=10.0, dt=0.01, effort=effort)
-    return Motion(arm, start, goal, scene, free), Motion(arm, start, goal, scene, held)
+    limited = replace(free, effort=held(arm, start, goal))
+    return Motion(arm, start, goal, scene, free), Motion(arm, start, goal, scene, limited)
 
 
 def step(motion: Motion) -> Array:
@@ -112,10 +121,44 @@ def track_free(motion: Motion) -> Array:
     return _track(motion, None)
 
 
+def _plan(motion: Motion, balls: int) -> Array:
+    arm = motion.arm
+    rng = np.random.default_rng(0)
+    places = rng.normal(size=(balls, 3))
+    places *= arm.length * rng.uniform(0.25, 0.8, (balls, 1)) / np.linalg.norm(places, axis=1, keepdims=True)
+    radius = 0.05 * arm.length
+    scene = Scene({f"ball {k}": Sphere(tuple(place.tolist()), radius) for k, place in enumerate(places)})
+    model = CollisionModel(arm, scene)
+    times: list[float] = []
+    while len(times) < FIRST + PLANS:
+        ends = [smooth_configuration(arm, rng, AMPLITUDE) for _ in range(2)]
+        if min(model.minimum(q).distance for q in ends) < scene.margin:
+            continue
+        effort = None if motion.limits.effort is None else held(arm, *ends)
+        limits = replace(motion.limits, effort=effort)
+        target = Target.from_configuration(arm, ends[1])
+        began = process_time_ns()
+        plan(arm.at(ends[0]), target, scene if balls else None, limits)
+        times.append(1e-3 * (process_time_ns() - began))
+    return np.array(times)
+
+
+def plan_among_balls(motion: Motion) -> Array:
+    """Plan paths of its arm among twelve balls, within its kind of limits."""
+    return _plan(motion, 12)
+
+
+def plan_free(motion: Motion) -> Array:
+    """Plan paths of its arm in free space, within its kind of limits."""
+    return _plan(motion, 0)
+
+
 WAYS: dict[str, Run] = {
     "step beside a ball": step,
     "tracker beside a ball": track_beside,
     "tracker in free space": track_free,
+    "plan among balls": plan_among_balls,
+    "plan in free space": plan_free,
 }
 
 

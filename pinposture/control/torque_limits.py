@@ -136,6 +136,12 @@ class TorqueLimits:
         torques = state.gravity_torques[self._limited] / effort
         return torques, state.gravity_gradient[self._limited] / effort[:, None]
 
+    def least_room(self, positions: Array) -> Array:
+        """Return the smallest distance of a torque from its limit at joint positions (s, nv), (s,) [m]."""
+        torques = self._arm.dynamics.gravity_torques(positions)[:, self._limited]
+        shares = np.abs(torques) / self._effort[self._limited]
+        return np.asarray(self._length * (1.0 - shares.max(axis=1, initial=0.0)))
+
     def violations(self, positions: Array) -> Array:
         """Return the largest excess over a limit at joint positions (s, nv), (s,) [m]; 0 if all are kept."""
         return self.excess(self._arm.dynamics.gravity_torques(positions))

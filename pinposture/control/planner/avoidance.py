@@ -219,10 +219,15 @@ class Avoidance:
         scene = _no_obstacles() if scene is None else scene
         return cls(CollisionModel(objective.arm, scene), objective, bounds, previous, offset, stopping)
 
-    @property
-    def only_torques(self) -> bool:
-        """Whether there are torque limits, and neither a scene nor constraints."""
-        return self.clearance.scene is _no_obstacles() and not self.constraints
+    def without_torques(self) -> Avoidance | None:
+        """Return the avoidance of the scene and of the constraints alone; None if there are none."""
+        if self.clearance.scene is _no_obstacles() and not self.constraints:
+            return None
+        other = copy(self)
+        other.torques = None
+        other.constrained = bool(self.constraints)
+        other._seen_inequalities = None
+        return other
 
     def tolerating(self, *states: ChainState) -> Avoidance:
         """Return the avoidance for a path that begins and ends at states, which may violate constraints."""
@@ -434,6 +439,13 @@ class Avoidance:
     def _inequalities_along(self, start: ChainState, offsets: Array) -> list[Inequalities]:
         """Return the constraints at states displaced from one, (s, nv)."""
         return [inequalities_of(self.constraints, start.moved(offset)) for offset in offsets]
+
+    def lacks_room(self, q: Array, offsets: Array) -> NDArray[np.bool_]:
+        """Whether `missing_room` may have rows at states displaced from a configuration, (s, nv), (s,)."""
+        if self.constraints or self.torques is None:
+            return np.full(len(offsets), self.constrained)
+        least = self.torques.least_room(self.objective.arm.positions(q) + offsets)
+        return least < AVOIDANCE.path_clearance * self._length
 
     def missing_room(self, state: ChainState, root: float) -> LinearRows:
         """Return rows that move a waypoint back within its constraints, times the root of their weight."""

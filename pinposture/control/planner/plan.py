@@ -211,24 +211,22 @@ def find_path(
     """
     objective, state, position_limits, avoidance = problem
     good = OBJECTIVE.goal_tolerance * objective.arm.length
-    in_free_space = problem._replace(avoidance=None)
-    if avoidance is None or avoidance.only_torques:
-        # The usual goal, if the motors hold the arm there.
-        if goal is None and not objective.tasks:
-            goal = known_goal(objective, position_limits, state.q)
-        if goal is None:
-            goal = find_goal(in_free_space, good).state
-        if avoidance is not None and avoidance.violation(goal) > 0.0:
-            goal = None
+    limited = None if avoidance is None or avoidance.torques is None else avoidance
+    # The usual goal and path are taken if the motors hold the arm there.
+    usual = problem if limited is None else problem._replace(avoidance=limited.without_torques())
+    if usual.avoidance is None and goal is None and not objective.tasks:
+        goal = known_goal(objective, position_limits, state.q)
     if goal is None:
+        goal = find_goal(usual, good).state
+    if limited is not None and limited.violation(goal) > 0.0:
         goal = find_goal(problem, good).state
-    path = None
-    if avoidance is not None and avoidance.only_torques and not attempt:
-        direct = _clearest_path(in_free_space, goal, attempt, until, report)
-        if avoidance.tolerating(state, goal).keeps_constraints(state.q, direct.offsets).all():
-            path = direct
-    if path is None:
+    if limited is None or attempt:
         path = _clearest_path(problem, goal, attempt, until, report)
+    else:
+        path = _clearest_path(usual, goal, attempt, until, report)
+        tolerant = limited.tolerating(state, goal)
+        if not (path.blocked_by or tolerant.keeps_constraints(state.q, path.offsets).all()):
+            path = _clearest_path(problem, goal, attempt, until, report, path)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.blocked_by)
     scene = None if avoidance is None else avoidance.clearance.scene
     return replace(path, scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal))
@@ -373,14 +371,19 @@ def repair(problem: PlanningProblem, rest: Array, attempt: int = 0) -> JointPath
 
 
 def _clearest_path(
-    problem: PlanningProblem, goal: ChainState, attempt: int, until: float, report: Report | None
+    problem: PlanningProblem,
+    goal: ChainState,
+    attempt: int,
+    until: float,
+    report: Report | None,
+    guess: JointPath | None = None,
 ) -> JointPath:
     """Return a direct clear path; if none is found, the one with the largest clearance.
 
     Among those that are not clear, it is the one with the most pieces within the constraints.
 
-    The candidates are those of `_Candidates`. The first clear one is returned; if it is long, the shorter of
-    it and the others.
+    The candidates are those of `_Candidates`, first from a guess. The first clear one is returned; if it is
+    long, the shorter of it and the others.
     """
     objective, state, position_limits, avoidance = problem
     tasks = _task_rows(objective, state, goal)
@@ -391,7 +394,7 @@ def _clearest_path(
     tolerant = problem._replace(avoidance=avoidance.tolerating(state, goal))
     tried = _Candidates(PathSearch(tolerant, goal, possible, attempt, until), tasks, report)
     try:
-        for path in tried.find(attempt):
+        for path in tried.find(attempt, guess):
             if tried.judge(path) and (objective.tasks or path.length <= tried.short):
                 return path
             if perf_counter() >= until:
@@ -426,7 +429,7 @@ class _Candidates:
         """Length up to which a clear path is good enough."""
         return PLAN.most_detour * self.most_direct.length
 
-    def find(self, attempt: int) -> Iterator[JointPath]:
+    def find(self, attempt: int, guess: JointPath | None = None) -> Iterator[JointPath]:
         """Find candidates, in this order, as long as none is good enough.
 
         The most direct path; one relaxed among the obstacles; one found by search and then relaxed; while
@@ -442,6 +445,8 @@ class _Candidates:
         too_many = len(search.problem.objective.columns) > PLAN.most_relaxed_joints
         searched = None
         hopeless = False
+        if guess is not None:
+            yield from self._relax_found(guess.offsets, guess.found_by)
         if self._tasks is None:
             straight = search.straight() if attempt == 0 else None
             if straight is not None:
@@ -459,7 +464,8 @@ class _Candidates:
         if searched is None:
             searched = self._keep(search.withdraw(self._search_tells))
         if searched is not None:
-            yield from self._relax_found(searched)
+            self._tell(f"shortening a path found by {searched.found_by}")
+            yield from self._relax_found(search.shorten(searched).offsets, searched.found_by)
         else:
             count = 0 if hopeless and too_many else min(count, PLAN.hopeless_paths)
         for k in range(int(not hopeless), count):
@@ -523,22 +529,20 @@ class _Candidates:
         penalties = self._penalties(PLAN.clearance_roots[(variant + k) % len(PLAN.clearance_roots)])
         return direct_path(objective, start.q, self._search.goal.q, position_limits, penalties, variant + k)
 
-    def _relax_found(self, searched: FoundPath) -> Iterator[JointPath]:
-        """Yield a path that was found, shortened and relaxed, and as shortened."""
+    def _relax_found(self, offsets: Array, found_by: str) -> Iterator[JointPath]:
+        """Yield a path that was found, (N + 1, nv), relaxed, and as it is."""
         search = self._search
-        self._tell(f"shortening a path found by {searched.found_by}")
-        searched = search.shorten(searched)
-        raw = search.path(searched)
+        raw = replace(JointPath(search.problem.objective, search.problem.start.q, offsets), found_by=found_by)
         objective, start, position_limits, _ = search.problem
-        self._tell(f"relaxation of a path found by {searched.found_by}")
+        self._tell(f"relaxation of a path found by {found_by}")
         try:
             relaxed = relax_path(
-                objective, start.q, searched.offsets, position_limits, self._penalties(PLAN.searched_root)
+                objective, start.q, offsets, position_limits, self._penalties(PLAN.searched_root)
             )
         except KeyboardInterrupt:
             self.judge(raw)
             raise
-        yield from (replace(path, found_by=searched.found_by) for path in relaxed)
+        yield from (replace(path, found_by=found_by) for path in relaxed)
         yield raw
 
 

@@ -546,16 +546,20 @@ class _PathRelaxation:
         arm = self._objective.arm
         tasks = self._penalties.tasks
         avoidance = self._penalties.avoidance
-        constrained = avoidance is not None and avoidance.constrained
         last = len(offsets) - 1
+        constrained = np.zeros(len(offsets), dtype=np.bool_)
+        if avoidance is not None and avoidance.constrained:
+            constrained = avoidance.lacks_room(self._start, offsets)
         rows: list[LinearRows] = []
         waypoints: list[int] = []
-        for i in range(1, last) if tasks is not None or constrained else ():
+        for i in range(1, last):
+            if tasks is None and not constrained[i]:
+                continue
             state = arm.chain_at(arm.integrate(self._start, offsets[i]))
             if tasks is not None:
                 rows.append(tasks(state, i / last))
                 waypoints.append(i)
-            if avoidance is not None and constrained:
+            if avoidance is not None and constrained[i]:
                 rows.append(avoidance.missing_room(state, self._penalties.clearance_root))
                 waypoints.append(i)
         if not rows:
