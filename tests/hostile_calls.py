@@ -297,6 +297,7 @@ def examples() -> dict[str, Any]:
         "CarrierFeed.stroke": 0.001,
         "CarrierFeed.at.s": 0.0005,
         "CarrierFeed.joint_trajectory.trajectory": a_trajectory_on_a_slide(),
+        "CarrierFeed.find.q": np.array([0.1, 0.3, 0.2, -0.4, 0.2, 0.5]),
         "Steering.arm": a_fed_arm(),
         "Steering.start": None,
         "Steering.curvature": (1.0, -2.0),

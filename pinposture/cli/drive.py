@@ -50,6 +50,23 @@ RosArguments = Annotated[
 RateOption = Annotated[float, ROS("Cycles per second.", "HZ")]
 
 
+FeedOption = Annotated[
+    Path | None,
+    ROS(
+        "File of what moves in place of the first joint, a slide: [carrier], a robot that carries the arm, "
+        "or [drum].",
+        "FILE",
+    ),
+]
+
+
+def read_feed(path: Path | None, arm: Arm) -> Any:
+    """Return what feeds an arm, of a file; None without one."""
+    from pinposture.task.carrier_feed import load_feed
+
+    return None if path is None else load_feed(path, arm)
+
+
 @dataclass(frozen=True)
 class DriverOptions:
     """How the driver works, as of `DriverSettings`."""
@@ -67,6 +84,7 @@ class DriverOptions:
         str | None, SURROUNDINGS("{ros2.driver.DriverSettings.max_cloud_age}", "TIME")
     ] = None
     stale: Annotated[str, SURROUNDINGS("{ros2.driver.DriverSettings.stale}", "WHAT")] = "hold"
+    feed: FeedOption = None
     lock_after: Annotated[str | None, ROS("{ros2.driver.DriverSettings.lock_after}", "TIME")] = None
     touch: Annotated[
         str | None, SURROUNDINGS("Brake and hold if an effort differs by more from its model.", "TORQUE")
@@ -87,8 +105,8 @@ class DriverOptions:
         str | None, SHAPE("{ros2.shape_readings.ShapeSensing.max_deviation}", "LENGTH")
     ] = None
 
-    def read(self) -> Any:
-        """Return the settings; raise a `PostureError` for a value that is refused."""
+    def read(self, arm: Arm) -> Any:
+        """Return the settings for an arm; raise a `PostureError` for a value that is refused."""
         from pinposture.motion import Touch
         from pinposture.ros2 import DriverSettings, ShapeSensing
 
@@ -97,10 +115,10 @@ class DriverOptions:
         if self.no_heading:
             sensed["heading"] = False
         driving = {name: value for name, value in options.items() if name in vars(DriverSettings())}
-        settings = read_declared(DriverSettings, {**driving, "touch": None})
+        settings = read_declared(DriverSettings, {**driving, "touch": None, "feed": None})
         touch = None if self.touch is None else read_declared(Touch, {"threshold": self.touch})
         sensing = read_declared(ShapeSensing, sensed) if sensed else None
-        return replace(settings, touch=touch, sensing=sensing)
+        return replace(settings, touch=touch, sensing=sensing, feed=read_feed(self.feed, arm))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +148,7 @@ class AimOptions:
     "pinposture drive arm.urdf --curve helix",
     "pinposture drive arm.urdf --curve bow.json --command positions --velocity 0.5",
     "pinposture drive arm.urdf --motion out/task --scene scene.toml",
+    "pinposture drive arm.urdf --feed feed.toml",
     "pinposture drive arm.urdf --imus imu --tip-pose tip_pose --encoders motor",
     "pinposture drive arm.urdf -- --ros-args -p hold:=true -r joint_states:=/arm/joint_states",
 )
@@ -161,8 +180,8 @@ def run(
     if aim_options.motion is not None:
         refuse_given({"--curve": aim_options.curve}, "nothing with --motion")
     refuse_given({"--dt": limit_options.dt}, "nothing; --rate tells the cycle time")
-    settings = driver_options.read()
     arm = arm_options.read(urdf)
+    settings = driver_options.read(arm)
     scene = scene_options.read(arm)
     limits = read_limits(arm, limit_options, 1.0 / settings.rate)
     with open_node("pinposture", ros_args or ()) as node:

@@ -9,13 +9,14 @@ import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pinposture.cli.compile import compile_missing
-from pinposture.cli.drive import RosArguments, read_limits, spin_node
+from pinposture.cli.drive import FeedOption, RosArguments, read_feed, read_limits, spin_node
 from pinposture.cli.edit import PageOptions
 from pinposture.cli.inputs import (
     ArmOptions,
@@ -87,6 +88,7 @@ class OperationOptions:
         float | None,
         OPERATED("Full speed of the tip, in m/s; default: 5 % of the length of the arm per second.", "SPEED"),
     ] = None
+    feed: FeedOption = None
     simulated_arm: SimulatedArmOptions
 
 
@@ -150,9 +152,9 @@ def _operate(
     if operation_options.ros:
         options = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
         refuse_given(options, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
-        _drive(operation, limits, scene, ros_args, page_options)
+        _drive(operation, limits, scene, ros_args, page_options, operation_options.feed)
     else:
-        refuse_given({"-- ARGUMENTS": ros_args}, "nothing without --ros")
+        refuse_given({"-- ARGUMENTS": ros_args, "--feed": operation_options.feed}, "nothing without --ros")
         _simulate(operation, limits, scene, operation_options.simulated_arm, page_options)
 
 
@@ -229,7 +231,12 @@ def _page(
 
 
 def _drive(
-    operation: Operation, limits: Limits, scene: Scene, ros_args: list[str] | None, options: PageOptions
+    operation: Operation,
+    limits: Limits,
+    scene: Scene,
+    ros_args: list[str] | None,
+    options: PageOptions,
+    feed: Path | None,
 ) -> None:
     """Drive a robot on ROS 2."""
     with hold_interrupt():
@@ -237,7 +244,8 @@ def _drive(
 
     with open_node("pinposture", ros_args or ()) as node:
         with hold_interrupt():
-            driver = Driver(node, operation.arm, DriverSettings(rate=RATE), limits=limits, scene=scene)
+            settings = DriverSettings(rate=RATE, feed=read_feed(feed, operation.arm))
+            driver = Driver(node, operation.arm, settings, limits=limits, scene=scene)
             operation.goes_on = True
             driver.follow(operation)
         with _page(operation, options):

@@ -194,6 +194,24 @@ class Actuators(Declared):
         moved[self.arm.columns] = vt.T @ ((u.T @ checked) / sigma)
         return self.arm.configuration(moved), float(np.abs(self.matrix @ moved - checked).max())
 
+    def commands(self, positions: Array) -> Array:
+        """Return the actuator positions, (k,), for positions of `Arm.drives`, (nv,) [rad or m]."""
+        return np.asarray(self.matrix @ self.arm.drives.joint_positions(positions))
+
+    def measured(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """Return the positions of `Arm.drives` by name that fit measured actuators, by name, best.
+
+        Raises:
+            InvalidValue: a position is missing, or the actuators do not determine all joints.
+        """
+        for name in self.names:
+            require_known("position of actuator", name, positions)
+        u, sigma, vt = self._require_determined()
+        moved = np.zeros(self.arm.nv)
+        readings = np.array([positions[name] for name in self.names])
+        moved[self.arm.columns] = vt.T @ ((u.T @ readings) / sigma)
+        return self.arm.drives.named(self.arm.drives.positions(moved))
+
     def _require_determined(self) -> tuple[Array, Array, Array]:
         """Return the singular values of the matrix; raise InvalidValue if a degree of freedom is free."""
         columns = self.matrix[:, self.arm.columns]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from math import inf
 from queue import Empty, SimpleQueue
 from threading import Event
@@ -17,11 +18,11 @@ from pinposture._validation import require_instance, require_known, require_posi
 from pinposture.arm import Arm
 from pinposture.collision import Map, Scene
 from pinposture.collision.mapping import MAPPING, SEEN
-from pinposture.collision.model import effective_scene
-from pinposture.control import Limits
+from pinposture.collision.model import describe_distance, effective_scene
+from pinposture.control import Geodesic, Limits
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError
-from pinposture.motion import JointTrajectory, Report, Touch, Tracker
+from pinposture.motion import Actuators, JointTrajectory, Report, Touch, Tracker
 from pinposture.motion.latest import Done, Latest
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 from pinposture.placement import Target, resolve_targets
@@ -29,10 +30,11 @@ from pinposture.ros2.clouds import CloudFrames, read_points
 from pinposture.ros2.diagnostics import CycleTimes, Occurrences, diagnostics
 from pinposture.ros2.failures import POLLING, Fallback, FallbackSearch, Locked, as_possible
 from pinposture.ros2.graph import latest_only, sensor_data
-from pinposture.ros2.joint_readings import JointMeasurement, JointReadings
+from pinposture.ros2.joint_readings import JointMeasurement, JointReadings, OtherDrives
 from pinposture.ros2.shape_readings import FAULTS, ShapeReadings, ShapeSensing
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Duration, Length, declared, one_of
 from pinposture.sim import set_points
+from pinposture.task.carrier_feed import CarriedDrives, CarrierClearance, CarrierFeed
 from pinposture.task.falling import FALLING, FailureWatch, Fallen, require_falling, take_fallen
 from pinposture.task.retreat import WayIn
 
@@ -99,6 +101,9 @@ class DriverSettings(Declared):
         forget: time constant with which the map forgets what is not seen again [s]; None: it does not.
         touch: how to notice from measured efforts that something touches the arm; None: it is not noticed.
         sensing: what other sensors tell the shape; None: the encoders of all joints alone do.
+        feed: what moves in place of the first joint of the arm, a slide: a robot that carries the arm, or a
+            drum (`load_feed`). Its joints are measured and commanded, and the arm keeps clear of the robot.
+            None: the slide moves.
         lock_after: time for which a joint has to stick before it is locked, and the arm goes on without it
             [s]; None: the arm holds until the joint moves. One that was astray before is not locked, but
             taken for limp or weak (`fallen`).
@@ -118,6 +123,7 @@ class DriverSettings(Declared):
     forget: Duration | None = None
     touch: Annotated[Touch | None, AS_GIVEN] = None
     sensing: Annotated[ShapeSensing | None, AS_GIVEN] = None
+    feed: Annotated[CarrierFeed | Actuators | None, AS_GIVEN] = None
     lock_after: Duration | None = None
     max_cloud_age: Duration | None = None
     stale: Annotated[Literal["hold", "slow"], one_of("stale", "hold", "slow")] = "hold"
@@ -280,7 +286,7 @@ class Driver:
         self.reason = "no cycle yet"
         sensing = self.settings.sensing
         self._shape = None if sensing is None else ShapeReadings(arm, self.settings.max_age, sensing)
-        self._joints = self._shape or JointReadings(arm, self.settings.max_age)
+        self._joints = self._shape or JointReadings(arm, self.settings.max_age, self._drives)
         self._sent: Array | None = None  # positions that were sent last
         self._performance: Performance | None = None
         self._guide: Guide | None = None
@@ -310,10 +316,29 @@ class Driver:
         self._occurrences = Occurrences()  # of reasons why the arm does not move as it shall
         self._connect(node)
 
+    @cached_property
+    def _drives(self) -> OtherDrives | None:
+        """What is measured and commanded in place of the joints of the arm; None: they are."""
+        feed = self.settings.feed
+        allowed = "a CarrierFeed, the Actuators of the arm, or None"
+        require_instance("feed", feed, CarrierFeed | Actuators | None, allowed)
+        if feed is not None and (self.settings.sensing is not None or self.settings.touch is not None):
+            raise InvalidValue("feed", feed, "None with sensors of the shape or touch: efforts are not known")
+        if isinstance(feed, Actuators) and feed.arm is not self.arm:
+            raise InvalidValue("feed", feed.arm, "the actuators of the arm of the driver")
+        return CarriedDrives(feed, self.arm) if isinstance(feed, CarrierFeed) else feed
+
+    @cached_property
+    def _beside(self) -> CarrierClearance | None:
+        """What keeps the arm clear of the robot that carries it; None: none does."""
+        feed = self.settings.feed
+        return CarrierClearance(feed, self.arm, self._scene.margin) if isinstance(feed, CarrierFeed) else None
+
     def _new_tracker(self, arm: Arm, scene: Scene) -> Tracker:
         """Return a tracker of the arm, of which some joints may be locked; takes seconds."""
         return Tracker(
             arm,
+            Geodesic(constraints=() if self._beside is None else (self._beside,)),
             limits=self._limits({}),
             scene=scene,
             deadline=0.5 * self._period,
@@ -352,6 +377,7 @@ class Driver:
             ),
             touch=settings.touch,
             sensing=settings.sensing,
+            feed=settings.feed,
             lock_after=declare_optional(
                 "lock_after",
                 settings.lock_after,
@@ -377,6 +403,9 @@ class Driver:
         """Return the limits with parameters, of which some are changed."""
         bounds = {name: value for name, value in (self._bounds | changes).items() if value != 0.0}
         limits = replace(self._given, **bounds)
+        feed = self.settings.feed
+        if feed is not None:
+            limits = feed.limits(limits) if isinstance(feed, Actuators) else feed.limits(self.arm, limits)
         if self._speed == 1.0:
             return limits
         return replace(limits, velocity=self._speed * limits.for_arm(self.arm).bound * self.settings.rate)
@@ -529,10 +558,13 @@ class Driver:
         """Set the target; that of a motion ends.
 
         Raises:
-            InvalidValue: it does not fit the arm, or the arm follows a guide or retreats; the former one
-                stays.
+            InvalidValue: it does not fit the arm, has it too close to the robot that carries it, or the arm
+                follows a guide or retreats; the former one stays.
         """
         self._require_free("target", target)
+        if self._beside is not None and target.q is not None:
+            target.check_arm(self.arm)
+            self._beside.require_clear(target.q, "target")
         self.tracker.update(as_possible(self.tracker.arm, target) if self.locked else target)
         self._performance = None
         if self.locked:
@@ -951,13 +983,17 @@ class Driver:
         from trajectory_msgs.msg import JointTrajectoryPoint
 
         self._sent = self.tracker.positions
+        names = self.arm.drives.names
         positions = self._sent.tolist()
+        if self._drives is not None:
+            names = self._drives.names
+            positions = self._drives.commands(self._sent).tolist()
         if self.settings.command == "positions":
             return Float64MultiArray(data=positions)
         period = round(NANOSECONDS / self.settings.rate)
         point = JointTrajectoryPoint(positions=positions)
         point.time_from_start = DurationMessage(sec=period // NANOSECONDS, nanosec=period % NANOSECONDS)
-        return JointTrajectoryMessage(joint_names=list(self.arm.drives.names), points=[point])
+        return JointTrajectoryMessage(joint_names=list(names), points=[point])
 
     def _restart(self) -> None:
         """Start from the measured arm, if it is measured."""
@@ -984,6 +1020,13 @@ class Driver:
 
     # Diagnostics.
 
+    def _describe_carrier(self) -> str:
+        """Return how near the arm is to the robot that carries it."""
+        if self._beside is None or self.measured is None:
+            return ""
+        closest = self._beside.closest(self.measured)
+        return "" if closest.pair is None else describe_distance(closest.pair, closest.distance)
+
     def _diagnose(self) -> None:
         """Publish what the driver does, and why."""
         now = self._now()
@@ -1004,6 +1047,7 @@ class Driver:
             "mean error": report.mean_error,
             "tracking error": report.tracking_error,
             "violated": "; ".join(report.violated_constraints),
+            "robot and arm": self._describe_carrier(),
             "failing joints": "; ".join(map(str, report.failures)),
             "locked joints": "; ".join(f"{name} at {at:.4g}" for name, at in self.locked.items()),
             "fallen joint": self._falling if self._fallen is None else str(self._fallen),

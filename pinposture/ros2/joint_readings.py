@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import isfinite, nan
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pinposture._validation import LARGEST_COORDINATE
 from pinposture.arm import Arm
-from pinposture.errors import did_you_mean, enumerated
+from pinposture.errors import PostureError, did_you_mean, enumerated
 from pinposture.motion.ros import NANOSECONDS, stamp_of
+
+
+class OtherDrives(Protocol):
+    """What is measured and commanded in place of the joints of `Arm.drives`: `CarriedDrives`, `Actuators`."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+
+    def commands(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return their positions for those of `Arm.drives`, both in their order."""
+
+    def measured(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """Return the positions of `Arm.drives` for theirs, by name; raise a `PostureError` if none fit."""
 
 
 class JointReading(NamedTuple):
@@ -76,13 +94,15 @@ class JointReadings:
     Args:
         arm: the arm; joints are those that its drives move (`Arm.drives`).
         max_age: age above which a position does not count [s]; also how far stamps may be in the future.
+        others: what is measured in place of these joints; efforts are then not known. None: they are.
     """
 
-    def __init__(self, arm: Arm, max_age: float) -> None:
+    def __init__(self, arm: Arm, max_age: float, others: OtherDrives | None = None) -> None:
         self.max_age = max_age
         self.refused = 0
         self._arm = arm
-        self._names = arm.drives.names
+        self._drives = others
+        self._names = arm.drives.names if others is None else others.names
         self._others: set[str] = set()
         self.forget()
 
@@ -153,6 +173,11 @@ class JointReadings:
             reason = f"the position of joint {broken[0]!r} is measured as {positions[broken[0]]}"
         if reason:
             return JointMeasurement(None, None, age, stamp, reason)
+        if self._drives is not None:
+            try:
+                return JointMeasurement(self._drives.measured(positions), None, age, stamp, "")
+            except PostureError as error:
+                return JointMeasurement(None, None, age, stamp, str(error))
         torques = {name: self._readings[name].effort for name in self._names}
         known = all(isfinite(effort) for effort in torques.values())
         return JointMeasurement(positions, torques if known else None, age, stamp, "")

@@ -1,6 +1,6 @@
 """Motions over time: keyframes, following the leader, and coming out again."""
 
-from pinposture.task.carrier_feed import CarrierFeed
+from pinposture.task.carrier_feed import CarrierClearance, CarrierFeed, load_feed
 from pinposture.task.find_path import find_path
 from pinposture.task.follow_leader import Deviation, Leader, follow_leader, path_deviation
 from pinposture.task.keyframe import Keyframe
@@ -14,6 +14,7 @@ from pinposture.task.task import Task
 from pinposture.task.wrap import Grip, Wrapping, carry, unwrap, wrap
 
 __all__ = [
+    "CarrierClearance",
     "CarrierFeed",
     "Carrying",
     "Deviation",
@@ -36,6 +37,7 @@ __all__ = [
     "find_path",
     "follow_leader",
     "keyframe_reference",
+    "load_feed",
     "move_through",
     "path_deviation",
     "perform",

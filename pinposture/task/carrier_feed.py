@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from math import inf, isinf
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -17,10 +19,18 @@ from pinposture._validation import direction as unit_vector
 from pinposture._validation import finite_array, make_read_only, require_instance, require_positive
 from pinposture.arm import Arm, ArmState, JointSpec
 from pinposture.collision import CollisionModel, Scene
-from pinposture.collision.model import describe_distance
+from pinposture.collision.bodies import bodies_of
+from pinposture.collision.distances import PairDistances, TreeKinematics
+from pinposture.collision.model import Closest, describe_distance
+from pinposture.collision.scene import USUAL_MARGIN
+from pinposture.collision.solids import Solid
+from pinposture.control.limits import Limits
 from pinposture.control.tasks import orientation_rows
+from pinposture.document import Document
 from pinposture.errors import InvalidValue, ReachError
-from pinposture.motion.joint_trajectory import METRE, JointTrajectory, joint_units
+from pinposture.motion.actuators import Actuators
+from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, joint_units
+from pinposture.schema import AS_GIVEN, Declared, Length, declared
 from pinposture.units import CONVERGED, ROUNDING, length_text
 
 Array = NDArray[np.float64]
@@ -49,6 +59,16 @@ class FeedSettings(NamedTuple):
     """Largest joint motion per feed, in `Arm.joint_units` over the length of the carrier. Beyond it is a
     singular posture: a robot of 1 m that feeds 1 cm/s would need 1 rad/s. Of 60 strokes of a UR5, twice of it
     lengthened none by more than 0.2 % of its length; half of it ended one that passes such a posture."""
+
+    off_way: float = 0.05
+    """Distance of a joint of the robot from its way, in `Arm.joint_units`, above which it is not known where
+    the robot has the arm: 5 cm at the end of a metre."""
+
+    projections: int = 4
+    """Number of steps that project measured joints on the way, from the nearest sample on."""
+
+    watched: float = 0.1
+    """Clearance beyond the margin up to which robot and arm are near each other, in lengths of the arm."""
 
 
 FEED = FeedSettings()
@@ -128,6 +148,13 @@ class CarrierFeed:
         slide = JointSpec("x", type="prismatic", lower=0.0, upper=self.stroke)
         return slide if isinf(self.max_speed) else replace(slide, velocity=self.max_speed)
 
+    def limits(self, arm: Arm, limits: Limits) -> Limits:
+        """Return limits of an arm, with which the feed, its first joint, is no faster than `max_speed`."""
+        speeds = arm.limits.velocity if limits.velocity is None else limits.velocity
+        velocity = np.array(np.broadcast_to(speeds, arm.nv), dtype=np.float64)
+        velocity[0] = min(velocity[0], self.max_speed)
+        return replace(limits, velocity=velocity)
+
     def at(self, s: ArrayLike) -> Array:
         """Return configurations of the robot.
 
@@ -142,6 +169,34 @@ class CarrierFeed:
         """
         positions = self._checked(s)
         return self.carrier.integrate(self.start, self._spline(positions))
+
+    def find(self, q: ArrayLike) -> float:
+        """Return the position of the feed at which the robot is, [m].
+
+        Args:
+            q: its measured configuration, (nq,).
+
+        Raises:
+            InvalidValue: not a configuration, or a joint off its way by more than `FEED.off_way`.
+        """
+        arm = self.carrier
+        units = arm.joint_units
+        offset = arm.difference(self.start, arm.checked(q, "q"))
+        apart = (self._spline(self.s) - offset) / units
+        s = float(self.s[int(np.einsum("ij,ij->i", apart, apart).argmin())])
+        for _ in range(FEED.projections):
+            rate = self._spline(s, 1) / units
+            left = (offset - self._spline(s)) / units
+            s = float(np.clip(s + (rate @ left) / max(float(rate @ rate), 1e-300), 0.0, self.stroke))
+        off = (offset - self._spline(s)) / units
+        joint = int(np.abs(off).argmax())
+        if abs(off[joint]) > FEED.off_way:
+            size = f"{abs(off[joint] * units[joint]):.3g} {'m' if arm.in_metres[joint] else 'rad'}"
+            allowed = f"on the way of the feed; it is {size} off"
+            raise InvalidValue(
+                f"joint {arm.joint_names[joint]!r} of the robot", float(offset[joint]), allowed
+            )
+        return s
 
     def joint_trajectory(self, trajectory: JointTrajectory) -> JointTrajectory:
         """Return a trajectory of the arm with the joints of the robot in place of the feed.
@@ -264,6 +319,294 @@ class CarrierFeed:
             told = describe_distance(closest.pair or (), closest.distance)
             least = f"at least {length_text(scene.margin)} are kept"
             raise ReachError(begin + self.stroke * self._axis, f"on the way, {told}; {least}")
+
+
+class _CarriedBodies(NamedTuple):
+    """The bodies of an arm or a robot.
+
+    Attributes:
+        kinematics: its kinematics.
+        solids: the bodies, each in the frame of its joint.
+        joints: the joints that carry them, (n,).
+        names: their names.
+    """
+
+    kinematics: TreeKinematics
+    solids: list[Solid]
+    joints: NDArray[np.int64]
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, arm: Arm) -> _CarriedBodies:
+        """Return the bodies of an arm or a robot; it takes long, as its description is read."""
+        kinematics = TreeKinematics(arm.model)
+        bodies = bodies_of(arm)
+        solids = [body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies]
+        joints = np.array([body.joint for body in bodies], dtype=np.int64)
+        return cls(kinematics, solids, joints, tuple(body.name for body in bodies))
+
+
+class CarrierClearance:
+    """The clearance between an arm and the robot that carries it: a constraint of `Geodesic`.
+
+        controller = pp.Geodesic(constraints=[CarrierClearance(feed, arm)])
+
+    The mount of the arm, up to its feed, does not count, nor does what is closer than the margin while the
+    arm is straight and retracted: bodies beside the flange.
+
+    Args:
+        feed: the robot.
+        arm: the arm; its first joint is the feed.
+        margin: the clearance to keep [m].
+
+    Raises:
+        InvalidValue: a first joint that is no slide, or a base that is not at the flange.
+    """
+
+    name = "clearance between the arm and the robot that carries it"
+
+    def __init__(self, feed: CarrierFeed, arm: Arm, margin: float = USUAL_MARGIN) -> None:
+        _require_mounted(feed, arm)
+        self.feed = feed
+        self.arm = arm
+        self.margin = margin
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CarrierClearance, (self.feed, self.arm, self.margin)
+
+    @cached_property
+    def _parts(self) -> tuple[_CarriedBodies, _CarriedBodies]:
+        """The bodies of the arm and of the robot."""
+        return _CarriedBodies.of(self.arm), _CarriedBodies.of(self.feed.carrier)
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        """Names of the bodies of the arm, then of the robot."""
+        return (*self._parts[0].names, *(f"{name} of the robot" for name in self._parts[1].names))
+
+    @cached_property
+    def _retracted(self) -> PairDistances:
+        """The distances at the start of the feed, of the pairs that count."""
+        bodies = self._parts[0]
+        fixed = self._carrier_at(0.0)
+        mount = int(self.arm.model.getJointId(self.arm.joint_names[0]))
+        carried = np.flatnonzero(bodies.joints > mount)
+        pairs = [(int(i), len(bodies.solids) + k) for i in carried for k in range(len(fixed))]
+        distances = PairDistances(bodies.solids, bodies.joints.tolist(), fixed, pairs)
+        straight = bodies.kinematics.place(self.arm.straight())
+        near = distances.near(straight, float(np.nextafter(self.margin, inf))).pairs
+        close = {(int(distances.first[i]), int(distances.second[i])) for i in near}
+        return distances.among([pair for pair in pairs if pair not in close])
+
+    def _carrier_at(self, s: float) -> list[Solid]:
+        """Return the bodies of the robot at a position of the feed, world frame."""
+        robot = self._parts[1]
+        placed = robot.kinematics.place(self.feed.at(s))
+        moved = []
+        for solid, joint in zip(robot.solids, robot.joints, strict=True):
+            turn = placed.rotations[0, joint]
+            origin = placed.origins[0, joint]
+            points = {
+                name: turn @ getattr(solid, name) + origin for name in ("position", "start", "end", "center")
+            }
+            moved.append(solid._replace(rotation=turn @ solid.rotation, **points))
+        return moved
+
+    def _moment(self, s: float) -> PairDistances:
+        return self._retracted.with_obstacles(dict(enumerate(self._carrier_at(s))))
+
+    def closest(self, q: ArrayLike) -> Closest:
+        """Return the nearest bodies of arm and robot at a configuration of the arm, (nq,)."""
+        q = self.arm.checked(q, "q")
+        distances = self._moment(self._feed_at(q))
+        distance, pair = distances.minimum(self._parts[0].kinematics.place(q))
+        names = self._names
+        both = None if pair < 0 else (names[distances.first[pair]], names[distances.second[pair]])
+        return Closest(float(distance), both)
+
+    def require_clear(self, q: ArrayLike, name: str) -> None:
+        """Raise InvalidValue unless a configuration of the arm, (nq,), has it clear of the robot."""
+        closest = self.closest(q)
+        if closest.distance < (1.0 - CONVERGED) * self.margin:
+            told = describe_distance(closest.pair or (), closest.distance)
+            raise InvalidValue(name, told, f"at least {length_text(self.margin)} between arm and robot")
+
+    def _feed_at(self, q: Array) -> float:
+        return float(np.clip(self.arm.positions(q)[0], 0.0, self.feed.stroke))
+
+    def rows(self, state: ArmState) -> tuple[Array, Array, Array]:
+        """Return the rows of near bodies; see `Constraint.rows`."""
+        bodies, robot = self._parts
+        kinematics = bodies.kinematics
+        s = self._feed_at(state.q)
+        placements = kinematics.place(state.q)
+        distances = self._moment(s)
+        near = distances.near(placements, self.margin + FEED.watched * self.arm.length)
+        if not len(near.pairs):
+            return np.zeros((1, self.arm.nv)), np.array([-self.arm.length]), np.array([inf])
+        carriers = bodies.joints[distances.first[near.pairs]]
+        matrix = kinematics.differentiate(
+            placements, carriers, np.zeros_like(carriers), near.points, near.normals
+        )
+        # The feed moves the bodies of the robot as well.
+        step = np.copysign(1e-6 * self.feed.stroke, 0.5 * self.feed.stroke - s)
+        now, then = (robot.kinematics.place(self.feed.at(at)) for at in (s, s + step))
+        there = near.points - near.distances[:, None] * near.normals
+        for row, pair, point, normal in zip(matrix, near.pairs, there, near.normals, strict=True):
+            joint = robot.joints[int(distances.second[pair]) - len(bodies.solids)]
+            local = now.rotations[0, joint].T @ (point - now.origins[0, joint])
+            moved = then.rotations[0, joint] @ local + then.origins[0, joint] - point
+            row[0] -= normal @ moved / step
+        return matrix, self.margin - near.distances, np.full(len(near.pairs), inf)
+
+
+class CarriedDrives:
+    """The drives of an arm and of the robot that carries it, whose joints move in place of the feed.
+
+    Attributes:
+        names: names of the joints that are measured and commanded: those of the robot, and of the arm but its
+            feed.
+
+    Args:
+        feed: the robot.
+        arm: the arm; its first joint is the feed.
+
+    Raises:
+        InvalidValue: a first joint that is no slide, a base that is not at the flange, or joints of robot
+            and arm of the same name.
+    """
+
+    def __init__(self, feed: CarrierFeed, arm: Arm) -> None:
+        _require_mounted(feed, arm)
+        self._feed = feed
+        self._arm = arm
+        self.names = (*feed.carrier.drives.names, *arm.drives.names[1:])
+        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        if twice:
+            raise InvalidValue("joint", twice[0], "another name: robot and arm have it")
+
+    def commands(self, positions: Array) -> Array:
+        """Return the positions of `names`, given those of `Arm.drives`, both [rad or m]."""
+        feed = float(self._arm.drives.joint_positions(positions)[0])
+        s = min(max(feed, 0.0), self._feed.stroke)
+        carrier = self._feed.carrier
+        return np.append(carrier.drives.positions(carrier.positions(self._feed.at(s))), positions[1:])
+
+    def measured(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """Return the positions of `Arm.drives` by name, given those of `names`, both [rad or m].
+
+        Raises:
+            InvalidValue: the robot is off the way of the feed.
+        """
+        carrier = self._feed.carrier
+        q = carrier.configuration(carrier.drives.joint_positions(positions))
+        joints = np.zeros(self._arm.nv)
+        joints[0] = self._feed.find(q)
+        feed = float(self._arm.drives.positions(joints)[0])
+        return {
+            self._arm.drives.names[0]: feed,
+            **{name: positions[name] for name in self._arm.drives.names[1:]},
+        }
+
+
+def _require_mounted(feed: CarrierFeed, arm: Arm) -> None:
+    """Require an arm whose first joint is a feed, at the flange of a robot."""
+    require_instance("feed", feed, CarrierFeed, "a CarrierFeed")
+    require_instance("arm", arm, Arm, "an Arm")
+    if not arm.in_metres[0]:
+        raise InvalidValue("first joint of the arm", arm.joint_names[0], "a slide, the feed")
+    off = feed.base_placement.actInv(arm.base_placement)
+    if max(np.linalg.norm(off.translation), arm.length * np.linalg.norm(pin.log3(off.rotation))) > (
+        FEED.deviation * arm.length
+    ):
+        allowed = "at the flange: Arm.from_modules(..., base_placement=feed.base_placement)"
+        raise InvalidValue("base placement of the arm", arm.base_placement.translation.tolist(), allowed)
+    lowest = float(arm.limits.lower[0])
+    highest = float(arm.limits.upper[0])
+    if min(lowest, feed.stroke - highest) < -CONVERGED * arm.length:
+        raise InvalidValue(
+            "limits of the feed", (lowest, highest), f"within 0 to {feed.stroke:g} m, the stroke"
+        )
+    axis = arm.chain.axes[0]
+    if np.linalg.norm(axis - feed.base_placement.rotation[:, 0]) > FEED.deviation:
+        raise InvalidValue(
+            "first joint of the arm", axis.tolist(), "a slide along the feed (`CarrierFeed.joint`)"
+        )
+
+
+@declared()
+class CarrierTable(Declared):
+    """The robot that carries an arm, in a file.
+
+    Attributes:
+        robot: file of its description, relative to the folder of the file.
+        start: its configuration with the feed retracted, (nq,) [rad or m].
+        stroke: how far it is to feed [m].
+        direction: direction of the feed in the frame of the flange, (3,).
+        tip: its flange; None: the end of its chain.
+    """
+
+    robot: str
+    start: Annotated[Sequence[float], AS_GIVEN]
+    stroke: Length
+    direction: Annotated[Sequence[float], AS_GIVEN] = (0.0, 0.0, 1.0)
+    tip: str | None = None
+
+
+@declared()
+class DrumTable(Declared):
+    """A drum or a wheel that pays out an arm, in a file.
+
+    Attributes:
+        radius: its radius [m].
+        name: the joint of its drive.
+    """
+
+    radius: Length
+    name: str = "drum"
+
+
+@declared()
+class FeedFile(Declared):
+    """What feeds an arm in place of its slide, in a file: a robot, or a drum.
+
+    Attributes:
+        carrier: the robot.
+        drum: the drum.
+    """
+
+    carrier: CarrierTable | None = None
+    drum: DrumTable | None = None
+
+
+def load_feed(path: str | Path, arm: Arm) -> CarrierFeed | Actuators:
+    """Read what feeds an arm in place of its first joint, a slide, from a TOML or JSON file.
+
+    A robot stands such that its flange, with the feed retracted, is at the base of the arm.
+
+    Raises:
+        FileError: the file, or the description of the robot, is missing or malformed.
+        PostureError: values that are refused, or a first joint that is no slide.
+    """
+    read: FeedFile = Document.load(Path(path)).read(FeedFile, ())
+    if (read.carrier is None) == (read.drum is None):
+        raise InvalidValue("feed", str(path), "a table [carrier] or a table [drum]")
+    if not arm.in_metres[0]:
+        raise InvalidValue("first joint of the arm", arm.joint_names[0], "a slide, the feed")
+    if read.drum is not None:
+        matrix = np.eye(arm.nv)
+        matrix[0, 0] = 1.0 / read.drum.radius
+        units = (RADIAN, *joint_units(arm)[1:])
+        return Actuators.from_matrix(arm, (read.drum.name, *arm.joint_names[1:]), matrix, units)
+    table = read.carrier
+    assert table is not None
+    file = Path(path).parent / table.robot
+    there = Arm.load(file, tip=table.tip)
+    ahead = np.array(unit_vector("direction", table.direction))
+    turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), ahead).toRotationMatrix()
+    mount = _flange(there.at(there.checked(table.start, "start"))) * pin.SE3(turn, np.zeros(3))
+    placed = Arm.load(file, tip=table.tip, base_placement=arm.base_placement * mount.inverse())
+    return CarrierFeed(placed, table.start, table.stroke, table.direction)
 
 
 def _flange(state: ArmState) -> pin.SE3:

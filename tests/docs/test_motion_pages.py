@@ -49,7 +49,7 @@ def test_every_snippet_in_python_or_toml_is_known_here() -> None:
     assert counts == {
         "tasks.md": [4, 4, 0, 0],
         "trajectories.md": [1, 0, 1, 1],
-        "follow_leader.md": [4, 0, 0, 0],
+        "follow_leader.md": [4, 1, 0, 0],
         "physics.md": [2, 0, 0, 0],
     }
 
@@ -131,6 +131,22 @@ def test_the_leader_is_one(in_a_folder: Path) -> None:
     deepest = reference.configuration(reference.waypoints[0].row)[0] - reference.start[0]
     assert deepest == pytest.approx(0.8)
     assert len(loaded.surroundings(reference).obstacles) > 30
+
+
+def test_a_feed_in_a_file_is_read_as_shown(in_a_folder: Path) -> None:
+    carrier, drum = snippets("follow_leader.md", "toml")[0].split("# or\n")
+    joints = [pp.JointSpec(axis, lower=-3.0, upper=3.0, velocity=1.5) for axis in "zyyxyx"]
+    robot = pp.ModuleTemplate("Robot", joints, [0.3, 0.4, 0.4, 0.1, 0.1, 0.1])  # as in Python above
+    (in_a_folder / "robot.urdf").write_text(pp.Arm.from_modules([robot]).urdf)
+    (in_a_folder / "feed.toml").write_text(carrier)
+    (in_a_folder / "drum.toml").write_text(drum.replace("# ", "", 3))
+    slide = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.3)
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("Feed", (slide,), (0.05,)), pp.template("RyRz")])
+    feed = pp.task.load_feed("feed.toml", arm)
+    assert feed.stroke == 0.3
+    np.testing.assert_allclose(feed.base_placement.homogeneous, np.eye(4), atol=1e-12)
+    turned = pp.task.load_feed("drum.toml", arm)
+    assert turned.names[0] == "drum" and turned.matrix[0, 0] == pytest.approx(1.0 / 0.08)
 
 
 MISTAKEN = """\

@@ -10,6 +10,7 @@ from sampling import seeds
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, ReachError
+from pinposture.task.carrier_feed import CarriedDrives, CarrierClearance
 
 LINKS = (0.2, 0.3, 0.25, 0.05, 0.05, 0.04)
 
@@ -188,3 +189,73 @@ def test_positions_beyond_the_stroke_are_refused() -> None:
             pp.CarrierFeed(robot(), BENT, stroke, AHEAD)
     with pytest.raises(InvalidValue):
         pp.CarrierFeed(robot(), BENT, 0.1, (0.0, 0.0, 0.0))
+
+
+def carried(feed: pp.CarrierFeed) -> pp.Arm:
+    slide = pp.ModuleTemplate("Feed", joints=(feed.joint,), link_lengths=(0.05,))
+    modules = [slide, *[pp.template("RyRz")] * 8]
+    return pp.Arm.from_modules(modules, base_placement=feed.base_placement)
+
+
+def test_the_drives_of_a_robot_stand_for_the_feed_and_tell_where_it_is() -> None:
+    feed = pp.CarrierFeed(robot(), BENT, 0.15, AHEAD)
+    arm = carried(feed)
+    drives = CarriedDrives(feed, arm)
+    for s in (0.0, 0.04, 0.15):
+        sent = np.linspace(0.0, 0.3, arm.nv)
+        sent[0] = s
+        commands = drives.commands(sent)
+        np.testing.assert_allclose(commands[:6], feed.at(s), atol=1e-12)
+        measured = drives.measured(dict(zip(drives.names, commands, strict=True)))
+        np.testing.assert_allclose([measured[name] for name in arm.drives.names], sent, atol=1e-9)
+        off = commands + 0.01 * np.eye(len(commands))[1]
+        there = drives.measured(dict(zip(drives.names, off, strict=True)))[arm.joint_names[0]]
+        squares = [np.sum((feed.at(at) - off[:6]) ** 2) for at in np.linspace(0.0, 0.15, 2001)]
+        assert there == pytest.approx(0.15 * int(np.argmin(squares)) / 2000, abs=1e-4)
+    commands[2] += 0.1
+    with pytest.raises(InvalidValue, match=r"on the way of the feed; it is 0\.0\d+ rad off|0\.1 rad off"):
+        drives.measured(dict(zip(drives.names, commands, strict=True)))
+
+
+@pytest.mark.parametrize("seed", seeds(4))
+def test_rows_of_the_clearance_of_a_robot_are_derivatives(seed: int) -> None:
+    feed = pp.CarrierFeed(robot(), BENT, 0.15, AHEAD)
+    arm = carried(feed)
+    clearance = CarrierClearance(feed, arm)
+    rng = np.random.default_rng(seed)
+    h = 1e-6
+    for _ in range(400):
+        q = rng.normal(0.0, 0.2, arm.nv)
+        q[1 + seed % 2 :: 2] += rng.uniform(0.5, 0.9)
+        q[0] = rng.uniform(0.01, 0.14)
+        if 0.004 < clearance.closest(q).distance < 0.03:
+            break
+    matrix, lower, upper = clearance.rows(arm.at(q))
+    worst = int(lower.argmax())
+    assert clearance.margin - lower[worst] == pytest.approx(clearance.closest(q).distance, abs=1e-9)
+    assert np.all(np.isinf(upper))
+    slopes = [
+        (clearance.closest(q + h * d).distance - clearance.closest(q - h * d).distance) / (2.0 * h)
+        for d in np.eye(arm.nv)
+    ]
+    np.testing.assert_allclose(matrix[worst], slopes, atol=2e-4)
+    assert "of the robot" in str(clearance.closest(q).pair)
+
+
+def test_an_arm_elsewhere_is_not_carried() -> None:
+    feed = pp.CarrierFeed(robot(), BENT, 0.15, AHEAD)
+    slide = pp.ModuleTemplate("Feed", joints=(feed.joint,), link_lengths=(0.05,))
+    with pytest.raises(InvalidValue, match="at the flange"):
+        CarriedDrives(feed, pp.Arm.from_modules([slide, pp.template("RyRz")]))
+    with pytest.raises(InvalidValue, match="a slide, the feed"):
+        CarrierClearance(feed, pp.Arm.from_template("RyRz", 3, base_placement=feed.base_placement))
+    longer = pp.ModuleTemplate("Feed", (pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.3),), (0.05,))
+    with pytest.raises(InvalidValue, match="the stroke"):
+        CarriedDrives(feed, pp.Arm.from_modules([longer], base_placement=feed.base_placement))
+
+
+def test_the_feed_is_no_faster_than_its_robot() -> None:
+    feed = pp.CarrierFeed(robot(), BENT, 0.15, AHEAD)
+    arm = carried(feed)
+    limits = feed.limits(arm, pp.Limits(dt=0.01, velocity=9.0))
+    np.testing.assert_allclose(limits.velocity, [feed.max_speed] + [9.0] * (arm.nv - 1))
