@@ -151,6 +151,8 @@ class Log:
             InvalidValue: tables that do not fit each other.
         """
         path = Path(path)
+        if isinstance(joint_names, str):
+            raise InvalidValue("joint_names", joint_names, "a list of names")
         if is_bag(path):
             measured, sent = read_bag(path, None if commands is None else str(commands), joint_names)
         else:

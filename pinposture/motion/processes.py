@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import pickle
@@ -265,6 +266,12 @@ class RemoteTraceback(Exception):
         return f"in another process\n{self.args[0]}"
 
 
+_EXITING = Event()
+"""Set when this process ends, and with it those that it has started: no other ones start then."""
+
+atexit.register(_EXITING.set)
+
+
 class _Line:
     """A process and the connection to it, used by the thread that talks to it.
 
@@ -320,6 +327,8 @@ class _Line:
                 future.set_exception(error)
 
     def _restart(self) -> None:
+        if _EXITING.is_set():
+            return
         logger.warning("a process was ended from outside; another one starts")
         with suppress(OSError):
             self._connection.close()

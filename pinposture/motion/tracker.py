@@ -411,21 +411,22 @@ class Tracker:
         q_measured: ArrayLike | Mapping[str, float],
         dq: ArrayLike | None = None,
         *,
-        limp: Collection[str] = (),
+        limp: str | Collection[str] = (),
     ) -> None:
         """Restart from the measured configuration, keeping the target.
 
         Args:
             q_measured: the measured configuration, (nq,), or positions as in `step`.
             dq: its displacement in the last cycle, (nv,) [rad or m]; None if the arm is at rest.
-            limp: names of joints without torque in `Arm.joint_names`: from now on, they need not follow their
-                command, as long as it is near where they hang (`can_retreat`).
+            limp: a joint or joints without torque, by name in `Arm.joint_names`: from now on, they need not
+                follow their command, as long as it is near where they hang (`can_retreat`).
 
         Raises:
             InvalidValue: q_measured is not a configuration, dq not a displacement, or limp no names.
             UnknownName: a limp joint that the arm does not have.
         """
         require_instance("limp", limp, Collection, "names of joints")
+        limp = (limp,) if isinstance(limp, str) else limp
         for name in limp:
             require_known("joint", name, self.arm.joint_names)
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)

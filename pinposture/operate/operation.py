@@ -63,10 +63,6 @@ LOCKING = "a joint that is stuck is being locked"
 """Why the arm holds until it goes on without that joint."""
 
 
-FALLEN = "has fallen, as limp or weak: only the way that is planned can be driven"
-"""Why the tip is not led."""
-
-
 class Shown(NamedTuple):
     """A cycle, as a page shows it.
 
@@ -254,12 +250,16 @@ class Operation:
             self.watch(self.shown)
         return hold
 
+    def _describe_fallen(self) -> str:
+        """Return why the tip is not led."""
+        return f"{self._fallen} has fallen, as limp or weak: only the way that is planned can be driven"
+
     def _describe_failing(self, failures: Sequence[JointFailure]) -> str:
         """Return what is known of a joint that fails, with those of the last cycle; empty if none does."""
         if self._stuck is not None:
             return str(self._stuck)
         if self._fallen:
-            return f"{self._fallen} {FALLEN}"
+            return self._describe_fallen()
         astray = self._astray
         if astray is None:
             return ""
@@ -324,7 +324,7 @@ class Operation:
         """Lead the tip; return why the arm has to hold."""
         leader = cast(TipLeader, self._leader)
         if self._fallen:
-            return f"{self._fallen} {FALLEN}"
+            return self._describe_fallen()
         if order is not None and np.any(order.direction):
             away = leader.rejoin(cast(Array, self._led))
             if away:

@@ -139,14 +139,17 @@ class Plant:
         return compensation
 
     def fail(
-        self, stuck: Collection[str] = (), limp: Collection[str] = (), weak: Collection[str] = ()
+        self,
+        stuck: str | Collection[str] = (),
+        limp: str | Collection[str] = (),
+        weak: str | Collection[str] = (),
     ) -> None:
         """Let joints fail from now on; joints that failed before and are not named work again.
 
         Args:
-            stuck: names of joints that do not move any more.
-            limp: names of joints whose drives have no torque any more.
-            weak: names of joints whose drives have no more than `PLANT.weak` of the torque by which weight
+            stuck: a joint or joints, by name, that do not move any more.
+            limp: those whose drives have no torque any more.
+            weak: those whose drives have no more than `PLANT.weak` of the torque by which weight
                 loads them in the outstretched arm.
 
         Raises:
@@ -154,6 +157,7 @@ class Plant:
         """
         names = self.model.arm.drives.names
         columns = dict(zip(names, self.model.columns, strict=True))
+        stuck, limp, weak = ((given,) if isinstance(given, str) else given for given in (stuck, limp, weak))
         for name in (*stuck, *limp, *weak):
             require_known("joint with a drive", name, names)
         self._limits = np.array(self.model.torque_limits)

@@ -180,3 +180,10 @@ def test_what_does_not_fit_is_refused(changes: dict, reason: str) -> None:
     given = {"command_time": TIMES, "commands": SENT, "time": TIMES, "positions": MEASURED}
     with pytest.raises(InvalidValue, match=reason):
         Log(**given | changes)
+
+
+def test_a_name_is_no_list_of_names(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("0.0,0.1\n0.1,0.2\n")
+    with pytest.raises(InvalidValue, match="a list of names"):
+        Log.read(file, joint_names="j")

@@ -3,6 +3,8 @@
 import os
 import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
 import traceback
@@ -420,3 +422,22 @@ def test_what_the_process_cannot_prepare_or_have_is_told_at_once(arm: pp.Arm) ->
     held.lock = threading.Lock()
     with pytest.raises(pp.PostureError, match="can be pickled"):
         pp.Tracker(arm, pp.Geodesic(constraints=(held,)), LIMITS, deadline=0.002)
+
+
+LEAVING = """
+import time
+from multiprocessing import util
+
+from pinposture.motion.processes import BackgroundProcess
+
+kept = BackgroundProcess()
+kept.submit(time.sleep, 60.0)
+util.Finalize(None, lambda: time.sleep(1.2), exitpriority=-100)  # after processes were ended
+"""
+
+
+@pytest.mark.long
+def test_a_process_that_ends_leaves_none_behind_and_says_nothing() -> None:
+    command = [sys.executable, "-c", LEAVING]
+    left = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (left.returncode, left.stdout, left.stderr) == (0, "", "")

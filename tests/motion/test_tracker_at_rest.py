@@ -13,6 +13,7 @@ from arms import template_arm
 import pinposture as pp
 from pinposture.control.planner import follow, geodesic, plan
 from pinposture.control.tasks import ControlTask, Displaced, TaskRows, errors_of, rows_of
+from pinposture.errors import UnknownName
 from pinposture.motion import Tracker
 from pinposture.placement import Target
 
@@ -205,3 +206,13 @@ def test_errors_of_tasks_are_those_of_their_rows(template: str) -> None:
     tasks += [Displaced(task, rng.normal(0.0, 0.1, arm.nv)) for task in tasks]
     for task in tasks:
         np.testing.assert_array_equal(errors_of(task, state, target), rows_of(task, state, target).error)
+
+
+def test_a_single_joint_may_be_limp(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, limits=LIMITS)
+    tracker.restart(np.zeros(arm.nv), limp=arm.joint_names[2])
+    tracker.update(Target.from_configuration(arm, np.zeros(arm.nv)))
+    tracker.step(0.09 * np.eye(arm.nv)[2])
+    assert tracker.report.tracking_error == 0.0
+    with pytest.raises(UnknownName, match="'m9'"):
+        tracker.restart(np.zeros(arm.nv), limp="m9")
