@@ -42,6 +42,7 @@ from pinposture.errors import (
 from pinposture.placement import Target
 from pinposture.placement.resolve import place_in_turn
 from pinposture.placement.target import arm_axis, place_curve
+from pinposture.quadratic_program import solve
 from pinposture.schema import (
     Declared,
     Flag,
@@ -506,8 +507,9 @@ class ClosestRouteFollower:
         across = (state.jacobians - tangents[:, :, None] * along[:, None, :]).reshape(-1, len(x))
         error = (gaps - tangents * np.einsum("ij,ij->i", gaps, tangents)[:, None]).ravel()
         hessian = across.T @ across + np.diag(self._bending)
-        gradient = across.T @ error - self._bending * (x - fed.straight)
-        return _bounded_step(hessian, gradient, fed.body.limits.lower - x, fed.body.limits.upper - x)
+        gradient = self._bending * (x - fed.straight) - across.T @ error
+        step = solve(hessian, gradient, fed.body.limits.lower - x, fed.body.limits.upper - x).x
+        return np.zeros(len(x)) if step is None else step
 
     def _check_distances(self) -> None:
         fed = self._fed
@@ -521,22 +523,6 @@ class ClosestRouteFollower:
         advice = "use a gentler path, wider joint limits or shorter modules"
         text = f"it stays {length_text(distances[link])} or more off the path; {advice}"
         raise CurveBendsTooMuch(module, float(self._s[link]), text)
-
-
-def _bounded_step(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """Minimise a quadratic model; joints that would exceed their limits are held there."""
-    step = np.zeros(len(gradient))
-    held = np.zeros(len(gradient), dtype=np.bool_)
-    while not held.all():
-        free = ~held
-        rest = gradient[free] - hessian[np.ix_(free, held)] @ step[held]
-        step[free] = np.linalg.solve(hessian[np.ix_(free, free)], rest)
-        over = free & ((step < lower) | (step > upper))
-        step = np.clip(step, lower, upper)
-        if not over.any():
-            break
-        held |= over
-    return step
 
 
 # The motion of the feed, and its postures.

@@ -499,3 +499,23 @@ def test_modules_without_closed_forms_follow_in_turn_too():
 def test_deviation_wants_rows_of_configurations(q):
     with pytest.raises(InvalidValue, match="q \\(shape\\)"):
         path_deviation(hinged(), q, arc(0.2, 1.5))
+
+
+@pytest.mark.long
+def test_an_arm_whose_joints_reach_their_limits_stays_as_near_the_path_as_they_allow() -> None:
+    """Joints that reach a limit in one step must be free to leave it in the next part of the same step."""
+    hinges = (JointSpec("y", lower=-0.12, upper=0.12), JointSpec("z", lower=-0.12, upper=0.12))
+    feed = ModuleTemplate("feed", (JointSpec("x", type="prismatic", lower=0.0, upper=1.2),), (0.05,))
+    arm = Arm.from_modules([feed] + [ModuleTemplate("bend", hinges, (0.025, 0.025))] * 20)
+    rng = np.random.default_rng(0)
+    points = [arm.at(arm.straight()).points[-1]]
+    heading = np.array([1.0, 0.0, 0.0])
+    for number in range(12):
+        points.append(points[-1] + 0.08 * heading)
+        if number > 0:
+            heading = heading + np.cross(0.3 * rng.normal(size=3), heading)
+            heading /= np.linalg.norm(heading)
+    path = Curve.points(np.array(points))
+    reference = follow_leader(arm, path, speed=0.05, interval=0.1)
+    q = np.array([arm.integrate(reference.start, offset) for offset in reference.offsets])
+    assert path_deviation(arm, q, path, start=reference.start).largest < 5e-3
