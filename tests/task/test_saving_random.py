@@ -169,7 +169,7 @@ def tasks(draw: Any) -> pp.Task:
             draw(st.sampled_from(["align", "as_is"])),
             draw(st.sampled_from(["closest", "sequential"])),
             draw(st.booleans()),
-            draw(st.none() | st.floats(0.01, 1)),
+            draw(st.none() | st.floats(0.05, 1)),  # wide enough for each of the arms
         )
     else:
         motion = tuple(draw(st.lists(keyframes(arm), min_size=2, max_size=4)))
