@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from types import CodeType
 from typing import Any, TypeVar
 
@@ -82,10 +82,21 @@ def draws_more(test: pytest.Item) -> bool:
         return True
     for mark in test.iter_markers("parametrize"):
         names, values = mark.args
-        first = names.split(",")[0].strip() if isinstance(names, str) else names[0]
-        if isinstance(values, Cases) and test.callspec.indices[first] >= values.quick:
+        names = [name.strip() for name in names.split(",")] if isinstance(names, str) else names
+        if isinstance(values, Cases) and not any(
+            _is_case(test.callspec.params, names, case) for case in values[: values.quick]
+        ):
             return True
     return False
+
+
+def _is_case(parameters: Mapping[str, Any], names: Sequence[str], case: Any) -> bool:
+    """Whether parameters are those of a case; their indices count the cases of all decorators together."""
+    if isinstance(case, type(pytest.param())):
+        case = case.values
+    elif len(names) == 1:
+        case = (case,)
+    return all(parameters[name] is value for name, value in zip(names, case, strict=True))
 
 
 def names_in(code: CodeType) -> set[str]:

@@ -150,6 +150,8 @@ class CarrierFeed:
 
     def limits(self, arm: Arm, limits: Limits) -> Limits:
         """Return limits of an arm, with which the feed, its first joint, is no faster than `max_speed`."""
+        require_instance("arm", arm, Arm, "an Arm")
+        require_instance("limits", limits, Limits, "a Limits(...)")
         speeds = arm.limits.velocity if limits.velocity is None else limits.velocity
         velocity = np.array(np.broadcast_to(speeds, arm.nv), dtype=np.float64)
         velocity[0] = min(velocity[0], self.max_speed)

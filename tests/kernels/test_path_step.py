@@ -128,7 +128,7 @@ def test_a_step_lowers_the_model_as_far_as_the_exact_one(seed: int, stiff: float
     """The preconditioner knows too little of pairs of bodies (`stiff` of 1) to tell how much is left."""
     rng = np.random.default_rng(seed)
     judged = 0
-    for _ in range(15):
+    for _ in range(100):
         pieces = rng.choice([2, 3, 5, 10, 15, 16, 17, 20, 34])  # up to three for each lane
         problem = Problem(int(rng.integers(2**32)), int(rng.integers(1, 9)), int(pieces), stiff, contacts=2)
         problem.contacts = problem.contacts._replace(errors=problem.contacts.errors + 100.0 * stiff)
@@ -136,6 +136,8 @@ def test_a_step_lowers_the_model_as_far_as_the_exact_one(seed: int, stiff: float
         if np.all(active == (stiff > 0.0)):  # else the set is corrected a few times only
             assert share_of_decrease(problem, active, step) >= least
             judged += 1
+        if judged == 8:
+            break
     assert judged >= 1
 
 
