@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 from math import inf, isinf
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
 import pinocchio as pin
@@ -591,17 +591,17 @@ def load_feed(path: str | Path, arm: Arm) -> CarrierFeed | Actuators:
         PostureError: values that are refused, or a first joint that is no slide.
     """
     read: FeedFile = Document.load(Path(path)).read(FeedFile, ())
-    if (read.carrier is None) == (read.drum is None):
+    table = read.carrier
+    if (table is None) == (read.drum is None):
         raise InvalidValue("feed", str(path), "a table [carrier] or a table [drum]")
     if not arm.in_metres[0]:
         raise InvalidValue("first joint of the arm", arm.joint_names[0], "a slide, the feed")
-    if read.drum is not None:
+    if table is None:
+        drum = cast(DrumTable, read.drum)
         matrix = np.eye(arm.nv)
-        matrix[0, 0] = 1.0 / read.drum.radius
+        matrix[0, 0] = 1.0 / drum.radius
         units = (RADIAN, *joint_units(arm)[1:])
-        return Actuators.from_matrix(arm, (read.drum.name, *arm.joint_names[1:]), matrix, units)
-    table = read.carrier
-    assert table is not None
+        return Actuators.from_matrix(arm, (drum.name, *arm.joint_names[1:]), matrix, units)
     file = Path(path).parent / table.robot
     there = Arm.load(file, tip=table.tip)
     ahead = np.array(unit_vector("direction", table.direction))

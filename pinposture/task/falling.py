@@ -229,7 +229,8 @@ class FailureWatch:
                 self._since.pop(name, None)
                 continue
             column = arm.joint_names.index(name)
-            began, stood = self._since.setdefault(name, (float(sent[column]), float(reached[column])))
+            here = (float(sent[column]), float(reached[column]))
+            began, stood = self._since.setdefault(name, here)
             way = sent[column] - began
             behind = way - (reached[column] - stood)
             if abs(way) >= FALLING.followed * arm.joint_units[column] and abs(behind) <= 0.5 * abs(way):

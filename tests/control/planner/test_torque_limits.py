@@ -539,3 +539,44 @@ def test_each_step_of_a_schedule_comes_with_a_stop_within_limits() -> None:
             moves = np.vstack([before, step.dq, ahead.stopping, rest])
             assert share_of_steps(arm.with_effort(effort), q, moves, limits.dt) <= 1.0 + 1e-9
         before = step.dq
+
+
+def among_balls(seed: int) -> tuple[pp.Arm, np.ndarray, np.ndarray, pp.Scene]:
+    """An arm, two clear postures, and twelve balls around it."""
+    arm = template_arm("RyRz", 10)
+    rng = np.random.default_rng(seed)
+    places = [place for place in rng.uniform(-0.4, 0.4, (12, 3)) if np.linalg.norm(place) > 0.15]
+    scene = pp.Scene({f"ball {k}": pp.Sphere(place.tolist(), 0.03) for k, place in enumerate(places)})
+    model = pp.CollisionModel(arm, scene)
+    ends: list[np.ndarray] = []
+    while len(ends) < 2:
+        q = smooth_configuration(arm, rng, 0.5)
+        if model.minimum(q).distance > scene.margin:
+            ends.append(q)
+    return arm, ends[0], ends[1], scene
+
+
+def largest_torque(path: pp.JointPath) -> float:
+    """The largest torque that holds the arm anywhere on a path, by Pinocchio alone [N m]."""
+    arm = path.arm
+    data = arm.model.createData()
+    rows = [path.configuration(float(s)) for s in np.linspace(0.0, path.end, 1000)]
+    return max(float(np.abs(pin.computeGeneralizedGravity(arm.model, data, q)).max()) for q in rows)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(4))
+def test_a_path_among_obstacles_is_the_usual_one_unless_the_motors_cannot_hold_the_arm_there(
+    seed: int,
+) -> None:
+    arm, start, goal, scene = among_balls(seed)
+    target = pp.Target.from_configuration(arm, goal)
+    usual = pp.plan(arm.at(start), target, scene)
+    highest = largest_torque(usual)
+    ends = max(float(np.abs(arm.at(q).gravity_torques).max()) for q in (start, goal))
+    spare = pp.plan(arm.at(start), target, scene, pp.Limits(effort=1.01 * highest))
+    np.testing.assert_array_equal(spare.offsets, usual.offsets)
+    effort = max(1.02 * ends, 0.98 * highest)
+    other = pp.plan(arm.at(start), target, scene, pp.Limits(effort=effort))
+    if not other.blocked_by:
+        assert largest_torque(other) <= effort * (1.0 + 1e-3)
