@@ -414,13 +414,13 @@ class CarrierClearance:
             moved.append(solid._replace(rotation=turn @ solid.rotation, **points))
         return moved
 
-    def _moment(self, s: float) -> PairDistances:
+    def _distances_at(self, s: float) -> PairDistances:
         return self._retracted.with_obstacles(dict(enumerate(self._carrier_at(s))))
 
     def closest(self, q: ArrayLike) -> Closest:
         """Return the nearest bodies of arm and robot at a configuration of the arm, (nq,)."""
         q = self.arm.checked(q, "q")
-        distances = self._moment(self._feed_at(q))
+        distances = self._distances_at(self._feed_at(q))
         distance, pair = distances.minimum(self._parts[0].kinematics.place(q))
         names = self._names
         both = None if pair < 0 else (names[distances.first[pair]], names[distances.second[pair]])
@@ -442,7 +442,7 @@ class CarrierClearance:
         kinematics = bodies.kinematics
         s = self._feed_at(state.q)
         placements = kinematics.place(state.q)
-        distances = self._moment(s)
+        distances = self._distances_at(s)
         near = distances.near(placements, self.margin + FEED.watched * self.arm.length)
         if not len(near.pairs):
             return np.zeros((1, self.arm.nv)), np.array([-self.arm.length]), np.array([inf])
