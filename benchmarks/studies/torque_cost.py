@@ -136,6 +136,7 @@ def _plan(motion: Motion, balls: int) -> Array:
             continue
         effort = None if motion.limits.effort is None else held(arm, *ends)
         limits = replace(motion.limits, effort=effort)
+        limits.for_arm(arm)  # kept with the arm, as those that stay the same are
         target = Target.from_configuration(arm, ends[1])
         began = process_time_ns()
         plan(arm.at(ends[0]), target, scene if balls else None, limits)

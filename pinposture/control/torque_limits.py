@@ -114,6 +114,11 @@ class TorqueLimits:
         return np.asarray((1.0 - CONVERGED) * self._limits)
 
     @cached_property
+    def _per_effort(self) -> Array:
+        """The inverse of these limits; 0 where there is none."""
+        return np.asarray(1.0 / self._effort)
+
+    @cached_property
     def _limited(self) -> NDArray[np.intp]:
         """The degrees of freedom that have a limit."""
         return np.flatnonzero(np.isfinite(self._limits))
@@ -138,22 +143,20 @@ class TorqueLimits:
 
     def least_room(self, positions: Array) -> Array:
         """Return the smallest distance of a torque from its limit at joint positions (s, nv), (s,) [m]."""
-        torques = self._arm.dynamics.gravity_torques(positions)[:, self._limited]
-        shares = np.abs(torques) / self._effort[self._limited]
-        return np.asarray(self._length * (1.0 - shares.max(axis=1, initial=0.0)))
+        return self._length * (1.0 - self._largest_shares(self._arm.dynamics.gravity_torques(positions)))
 
     def violations(self, positions: Array) -> Array:
         """Return the largest excess over a limit at joint positions (s, nv), (s,) [m]; 0 if all are kept."""
-        return self.excess(self._arm.dynamics.gravity_torques(positions))
+        shares = self._largest_shares(self._arm.dynamics.gravity_torques(positions))
+        return np.asarray(self._length * np.maximum(shares - 1.0, 0.0))
 
     def violation(self, state: ChainState) -> float:
         """Return the largest excess over a limit at a state [m]; 0 if all are kept."""
-        return float(self.excess(state.gravity_torques[None])[0])
+        return self._length * max(float(self._largest_shares(state.gravity_torques)) - 1.0, 0.0)
 
-    def excess(self, torques: Array) -> Array:
-        """Return the largest excess of torques (s, nv) over a limit, (s,) [m]."""
-        over = np.abs(torques[:, self._limited]) / self._effort[self._limited] - 1.0
-        return np.asarray(self._length * over.max(axis=1, initial=0.0))
+    def _largest_shares(self, torques: Array) -> Array:
+        """Return the largest of torques (..., nv), relative to its limit, (...)."""
+        return np.asarray((np.abs(torques) * self._per_effort).max(axis=-1))
 
     def excess_of(self, share: float) -> float:
         """Return the excess over a limit of a torque that is a share of it [m]."""

@@ -54,7 +54,7 @@ _KERNELS = {
         "position_excess shorten_step smooth_offsets spline_slopes step_along step_box step_on_profile "
         "step_to stoppable_steps stopping_steps sum_point_errors take_steps"
     ),
-    "path_relaxation": "find_direct_waypoints refine_waypoints step_waypoints",
+    "path_relaxation": "divide_path find_direct_waypoints refine_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value least_change well_conditioned",
     "rate_of_change": "fit_rate",
     "spline": (

@@ -272,6 +272,36 @@ def refine_waypoints(x: Array2, finer: Array2) -> None:
     finer[factor * last] = x[last]
 
 
+@compiled
+def divide_path(path: Array2, longest: Array1) -> tuple[Array2, Ints1]:
+    """Divide the pieces of a path of straight motions into equal parts.
+
+    Args:
+        path: waypoints, (N + 1, n).
+        longest: largest change of each joint in a part, (n,).
+
+    Returns:
+        The waypoints with those between them, (s, n), and the index of each waypoint among these, (N + 1,).
+    """
+    last = len(path) - 1
+    n = path.shape[1]
+    ends = np.zeros(last + 1, dtype=np.int64)
+    for i in range(last):
+        parts = 1.0
+        for u in range(n):
+            parts = max(parts, np.ceil(abs(path[i + 1, u] - path[i, u]) / longest[u]))
+        ends[i + 1] = ends[i] + int(parts)
+    finer = np.empty((ends[last] + 1, n))
+    for i in range(last):
+        count = ends[i + 1] - ends[i]
+        for part in range(count):
+            share = part / count
+            for u in range(n):
+                finer[ends[i] + part, u] = path[i, u] + share * (path[i + 1, u] - path[i, u])
+    finer[ends[last]] = path[last]
+    return finer, ends
+
+
 @subkernel
 def _refined(x: Array2, pieces: int, lower: Array1, upper: Array1) -> Array2:
     """Return refined waypoints on natural cubic splines, (pieces + 1, n), clipped to limits (n,)."""

@@ -522,14 +522,14 @@ class _Way:
         """Return the way on to a goal that `plan` finds, as `_end`."""
         target = Target.from_configuration(self._arm, goal.q)
         path = plan(self._state, target, self._scene, self._limits, budget=budget, strict=False)
-        before = divide(np.array(self._offsets), self._arm.joint_units)
+        before, _ = divide(np.array(self._offsets), self._arm.joint_units)
         offsets = np.concatenate([before, before[-1] + path.offsets[1:]])
         return replace(path, start=self._start, offsets=offsets, found_by=self._found_by(path))
 
     def _path(self, goal: ChainState, found_by: str) -> JointPath:
         """Return the way that was led, to a goal."""
         objective = Objective(self._arm, Target.from_configuration(self._arm, goal.q))
-        offsets = divide(np.array(self._offsets), self._arm.joint_units)
+        offsets, _ = divide(np.array(self._offsets), self._arm.joint_units)
         return JointPath(objective, self._start, offsets, self._scene, found_by=found_by)
 
     def _found_by(self, path: JointPath) -> str:

@@ -193,6 +193,24 @@ def test_refined_waypoints_are_on_the_natural_spline(pieces: int, factor: int) -
     np.testing.assert_allclose(slopes, spline(np.arange(pieces + 1.0), 1), atol=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_divided_path_has_short_and_equal_parts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = rng.normal(size=(seed + 1, 7)) * rng.uniform(0.0, 2.0, (seed + 1, 1))
+    path = np.concatenate([path, path[-1:]])  # a piece without motion
+    longest = rng.uniform(0.1, 1.0, 7)
+    finer, ends = kernels.divide_path(path, longest)
+    np.testing.assert_array_equal(finer[ends], path)
+    sizes = np.abs(np.diff(path, axis=0) / longest).max(axis=1)
+    counts = np.diff(ends)
+    np.testing.assert_array_equal(
+        counts, np.maximum(np.ceil(sizes), 1.0)
+    )  # short enough, and no more than that
+    places = np.interp(np.arange(len(finer)), ends, np.arange(len(path)))
+    expected = np.column_stack([np.interp(places, np.arange(len(path)), joint) for joint in path.T])
+    np.testing.assert_allclose(finer, expected, atol=1e-14)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_a_step_finds_which_contacts_count_after_it(seed: int) -> None:
     """The model is piecewise quadratic; its minimum by Newton steps that are halved until they lower it."""

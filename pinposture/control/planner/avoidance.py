@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.arm.dynamics import StepLoads
 from pinposture.collision import CollisionModel, Distances, Scene
@@ -422,19 +423,10 @@ class Avoidance:
             violations = np.maximum(violations, self.torques.violations(start.raw_positions + offsets))
         return np.asarray(np.maximum(np.maximum.reduceat(violations, ends[:-1]), violations[ends[1:]]))
 
-    def _sampled(self, path: Array) -> tuple[Array, NDArray[np.intp]]:
+    def _sampled(self, path: Array) -> tuple[Array, NDArray[np.int64]]:
         """Return displacements (s, nv) on straight motions, and the index of each waypoint among them."""
-        arm = self.objective.arm
-        turns = np.abs(np.diff(path, axis=0) / arm.joint_units).max(axis=1, initial=0.0)
-        ends = np.append(0, np.cumsum(np.maximum(np.ceil(turns / AVOIDANCE.sampled_turn), 1.0))).astype(
-            np.intp
-        )
-        counts = np.diff(ends)
-        piece = np.repeat(np.arange(len(counts)), counts)
-        share = (np.arange(ends[-1]) - ends[piece]) / counts[piece]
-        between = path[piece] + share[:, None] * (path[piece + 1] - path[piece])
-        offsets = np.concatenate([between, path[-1:]])
-        return offsets, ends
+        longest = AVOIDANCE.sampled_turn * self.objective.arm.joint_units
+        return kernels.divide_path(np.ascontiguousarray(path), longest)
 
     def _inequalities_along(self, start: ChainState, offsets: Array) -> list[Inequalities]:
         """Return the constraints at states displaced from one, (s, nv)."""

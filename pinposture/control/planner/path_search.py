@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.arm.arm import smooth_positions
 from pinposture.collision.model import MOTION_TOLERANCE, OPEN_MOTION
@@ -251,7 +252,7 @@ class PathSearch:
         Args:
             path: offsets from the start to the goal, (N + 1, nv), not all clear.
         """
-        path = divide(path, self._units)
+        path, _ = divide(path, self._units)
         last = len(path) - 1
         begin = self._clear_pieces(path)
         end = last - self._clear_pieces(path[::-1])
@@ -419,7 +420,7 @@ class PathSearch:
 
     def _shortened(self, raw: Array, shortcuts: int) -> Array:
         """Return a path, (M + 1, nv), after a number of attempted shortcuts."""
-        path = divide(raw, self._units)
+        path, _ = divide(raw, self._units)
         lengths = self._measure(path)
         columns = self.problem.objective.columns
         for number in range(shortcuts):
@@ -437,7 +438,7 @@ class PathSearch:
                 straight[:, some] = whole[:, some]
             shorter = self._measure(straight).sum() < 0.999 * lengths[i:j].sum()
             if shorter and self.is_clear(straight):
-                divided = divide(straight, self._units)
+                divided, _ = divide(straight, self._units)
                 path = np.concatenate([path[:i], divided, path[j + 1 :]])
                 lengths = np.concatenate([lengths[:i], self._measure(divided), lengths[j:]])
         return path
@@ -447,9 +448,9 @@ class PathSearch:
 
         From each waypoint, motions to the last one, to the one halfway there, and so on are tried.
         """
-        ends = np.append(0, np.cumsum(_count_pieces(path, self._units)))
         # Measured in small pieces, as motions are: chords of long pieces fall short.
-        distances = np.append(0.0, np.cumsum(self._measure(divide(path, self._units))))
+        divided, ends = divide(path, self._units)
+        distances = np.append(0.0, np.cumsum(self._measure(divided)))
         travelled = distances[ends]
         last = len(path) - 1
         kept = [0]
@@ -458,7 +459,7 @@ class PathSearch:
             there = last
             while there > here + 1:
                 motion = path[[here, there]]
-                length = self._measure(divide(motion, self._units)).sum()
+                length = self._measure(divide(motion, self._units)[0]).sum()
                 if length < travelled[there] - travelled[here] and self.is_clear(motion):
                     break
                 there = (here + there) // 2
@@ -470,20 +471,13 @@ class PathSearch:
         return self.problem.objective.measure_pieces(self._positions, path)
 
 
-def divide(path: Array, units: Array) -> Array:
-    """Return a path (N + 1, nv) with pieces longer than `SHORTENING.piece` in units (nv,) divided."""
-    changes = np.diff(path, axis=0)
-    counts = _count_pieces(path, units)
-    piece = np.repeat(np.arange(len(counts)), counts)
-    before = np.cumsum(counts) - counts
-    shares = (np.arange(len(piece)) - before[piece] + 1) / counts[piece]
-    return np.concatenate([path[:1], path[piece] + shares[:, None] * changes[piece]])
+def divide(path: Array, units: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Divide the pieces of a path (N + 1, nv) that are longer than `SHORTENING.piece` in units (nv,).
 
-
-def _count_pieces(path: Array, units: Array) -> NDArray[np.intp]:
-    """Return into how many pieces `divide` divides each of those of a path, (N,)."""
-    sizes = np.abs(np.diff(path, axis=0) / units).max(axis=1)
-    return np.asarray(np.maximum(np.ceil(sizes / SHORTENING.piece), 1.0), dtype=np.intp)
+    Returns:
+        The path, (M + 1, nv), and the index of each former waypoint on it, (N + 1,).
+    """
+    return kernels.divide_path(path, SHORTENING.piece * units)
 
 
 class _Growth:
