@@ -114,11 +114,6 @@ class TorqueLimits:
         return np.asarray((1.0 - CONVERGED) * self._limits)
 
     @cached_property
-    def _per_effort(self) -> Array:
-        """The inverse of these limits; 0 where there is none."""
-        return np.asarray(1.0 / self._effort)
-
-    @cached_property
     def _limited(self) -> NDArray[np.intp]:
         """The degrees of freedom that have a limit."""
         return np.flatnonzero(np.isfinite(self._limits))
@@ -156,7 +151,7 @@ class TorqueLimits:
 
     def _largest_shares(self, torques: Array) -> Array:
         """Return the largest of torques (..., nv), relative to its limit, (...)."""
-        return np.asarray((np.abs(torques) * self._per_effort).max(axis=-1))
+        return np.asarray((np.abs(torques) / self._effort).max(axis=-1))
 
     def excess_of(self, share: float) -> float:
         """Return the excess over a limit of a torque that is a share of it [m]."""
