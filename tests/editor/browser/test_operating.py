@@ -67,6 +67,62 @@ def test_keys_and_buttons_count_while_they_are_held(browser: Any) -> None:
     assert complaints == []
 
 
+PADS = """
+window.pads = [];
+navigator.getGamepads = () => window.pads;
+"""
+"""Devices of a page."""
+
+GAMEPAD = "Wireless Controller (STANDARD GAMEPAD Vendor: 054c Product: 09cc)"
+CAP = "3Dconnexion SpaceMouse Compact (Vendor: 256f Product: c635)"
+
+
+def pad(name: str, axes: list[float], trigger: float = 0.0) -> dict[str, Any]:
+    buttons = [{"pressed": False, "value": 0.0}] * 7 + [{"pressed": False, "value": trigger}]
+    return {"id": name, "connected": True, "axes": axes, "buttons": buttons if "PAD" in name else buttons[:2]}
+
+
+def test_sticks_count_with_the_trigger_and_the_cap_of_a_3d_mouse_alone(browser: Any) -> None:
+    arm = pp.Arm.from_template("RyRz", modules=2)
+    control = Control()
+    live = LivePage(Operation(arm, usual_limits(arm, 0.02), control), port=free_port())
+    context = browser.new_context(viewport=SIZE)
+    page = context.new_page()
+    page.add_init_script(PADS)
+    page.goto(f"{live.url}/controls")
+    page.click("text=Take control")
+    page.wait_for_selector("#controls.yours")
+    still = [pad(GAMEPAD, [0.1, -0.1, 0.1, 0.05], 1.0), None, pad(CAP, [0.05, 0.1, -0.1, 0.0, 0.3, 0.0])]
+    for there, way in (
+        ([None, pad(GAMEPAD, [0.0, -0.5, -1.0, 0.25], 1.0)], (0.5, 1.0, -0.25, 0.5)),
+        ([pad(CAP, [0.25, 0.5, -1.0, 0.0, 0.0, 0.0])], (-0.5, -0.25, 1.0, 0.5)),
+        (
+            [pad(GAMEPAD, [0.0, -0.5, 0.0, 0.0]), pad(CAP, [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0])],
+            (0.0, 0.5, 0.0, 0.5),
+        ),
+    ):
+        for _ in range(20):  # as above
+            page.evaluate("there => { window.pads = there; }", there)
+            end = time.monotonic() + 0.5
+            while held(control) != way and time.monotonic() < end:
+                time.sleep(0.005)
+            if held(control) == way:
+                break
+            page.evaluate("() => { window.pads = []; }")
+            wait_until(lambda: control.reason == "nothing is held", "nothing is held")
+        else:
+            pytest.fail(f"not held: {way}")
+        page.evaluate("there => { window.pads = there; }", still)
+        wait_until(lambda: control.reason == "nothing is held", "nothing is held")
+    assert "trigger" in page.inner_text("#pad") and "cap" in page.inner_text("#pad")
+    page.evaluate("() => { document.hasFocus = () => false; }")
+    page.evaluate("there => { window.pads = there; }", [pad(CAP, [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])])
+    page.wait_for_selector("text=Hold keys")
+    assert held(control) is None
+    context.close()
+    live.close()
+
+
 SENT = """
 window.sent = [];
 const send = WebSocket.prototype.send;
