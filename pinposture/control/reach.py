@@ -217,8 +217,7 @@ def reach(
     require_whole("count", count, 1)
     require_whole("seed", seed, 0)
     require_positive("budget", budget)
-    allowed_error = CONVERGED * arm.length if tolerance is None else tolerance
-    require_positive("tolerance", allowed_error)
+    allowed_error = CONVERGED * arm.length if tolerance is None else require_positive("tolerance", tolerance)
     sought = _Goal.of(arm, goal, direction)
     limits = Limits() if limits is None else limits
     first = None if start is None else arm.checked_start(start, "start")

@@ -333,8 +333,7 @@ def track_many(
     require_function("progress", progress)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
-    tolerance = CONVERGED * arm.length if tolerance is None else tolerance
-    require_positive("tolerance", tolerance)
+    tolerance = CONVERGED * arm.length if tolerance is None else require_positive("tolerance", tolerance)
     if jobs is not None:
         check_jobs(jobs)
     require_known("thing to keep", keep, ("motions", "ends"))

@@ -160,8 +160,7 @@ def track(
     require_function("callback", callback)
     if max_steps is not None:
         require_whole("max_steps", max_steps, 1)
-    tolerance = CONVERGED * arm.length if tolerance is None else tolerance
-    require_positive("tolerance", tolerance)
+    tolerance = CONVERGED * arm.length if tolerance is None else require_positive("tolerance", tolerance)
 
     start = arm.checked_start(q0, "q0")
     require_instance("strict", strict, bool, "True or False")

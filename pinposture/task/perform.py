@@ -302,8 +302,7 @@ def perform(
     controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits(step=None, dt=CYCLES.default) if limits is None else limits
     dt = cycle_of(limits)
-    tolerance = CONVERGED * arm.length if tolerance is None else tolerance
-    require_positive("tolerance", tolerance)
+    tolerance = CONVERGED * arm.length if tolerance is None else require_positive("tolerance", tolerance)
     start = arm.checked(reference.start, "reference.start") if q0 is None else arm.checked_start(q0, "q0")
     require_instance("strict", strict, bool, "True or False")
     if strict and limits.effort is not None:
