@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Annotated, Any, NamedTuple, cast
 
@@ -115,6 +115,24 @@ class JointBounds:
             return np.empty(0)
         return np.zeros(len(self.bound)) if previous is None else np.array(previous, dtype=np.float64)
 
+    def stopping_steps(self, positions: Array, dq: Array) -> Array:
+        """Return the steps that stop an arm after a step, on a straight line in joint space if possible.
+
+        A joint outside its position limits stops too, but is not brought back.
+
+        Args:
+            positions: joint positions after that step, (nv,) [rad or m].
+            dq: that step, (nv,) [rad or m].
+
+        Returns:
+            Steps, (k, nv) [rad or m]; k = 0 if the arm can stop at once.
+        """
+        if self.brake is None:
+            return np.empty((0, len(dq)))
+        rooms = self.position_limits - positions
+        moving = np.array(dq, dtype=np.float64)
+        return kernels.stopping_steps(rooms, moving, self.bound, self.brake, CYCLES.most_stopping)
+
     def step_bounds(self, state: ArmState, previous: Array | None) -> StepBounds:
         """Return the steps that the limits allow; see `Limits.step_bounds`.
 
@@ -143,45 +161,6 @@ class JointBounds:
                 arm, positions, self.position_limits, self.bound, self.braking, before, ROUNDING
             )
         return StepBounds(both[0], both[1], relaxed, outside, both)
-
-
-def joint_bounds(
-    arm: Arm,
-    step: float | Array | None,
-    velocity: float | Array | None,
-    acceleration: float | Array | None,
-    dt: float | None,
-    position_margin: float,
-    jerk: float | Array | None,
-) -> JointBounds:
-    """Return the bounds for the joints of an arm, from the attributes of `Limits`; without torque limits.
-
-    Raises:
-        InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
-    """
-    bound = np.full(arm.nv, np.inf)
-    brake: Array | None = None
-    change: Array | None = None
-    change_of_change: Array | None = None
-    if step is not None:
-        bound = np.minimum(bound, _per_joint("step", step, arm))
-    if dt is not None:
-        speed = arm.limits.velocity if velocity is None else _per_joint("velocity", velocity, arm)
-        bound = np.minimum(bound, speed * dt)
-        if acceleration is not None:
-            change = _per_joint("acceleration", acceleration, arm) * dt**2
-            brake = change = np.clip(change, 1e-100, 1e200)  # neither overflow nor division by zero
-            if jerk is not None:
-                change_of_change = np.maximum(_per_joint("jerk", jerk, arm) * dt**3, 1e-100)
-                brake = _smoothable(arm, change, change_of_change)
-    position_limits = _position_limits(arm, position_margin)
-    # A step without limits counts as a usual one [rad].
-    travel = min(0.1, float(np.median((bound / arm.joint_units)[arm.columns])))
-    units = arm.joint_units[arm.columns]
-    slack = CONVERGED * units
-    return JointBounds(
-        bound, travel, position_limits, brake, units, slack, dt, change, change_of_change, None
-    )
 
 
 def _effort_of(arm: Arm, effort: bool | float | Array) -> Array:
@@ -271,30 +250,6 @@ def farthest(room: Array, brake: Array) -> Array:
     steps = np.empty_like(rooms)
     kernels.stoppable_steps(rooms, np.array(brake, dtype=np.float64), steps)
     return steps.reshape(np.shape(room))
-
-
-def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -> Array:
-    """Return the steps that stop an arm after a step, on a straight line in joint space if possible.
-
-    Args:
-        rooms: displacements to the lower and the upper position limits after that step, (2, nv) [rad or m].
-            A joint outside them stops too, but is not brought back.
-        dq: that step, (nv,) [rad or m].
-        bound: largest |dq|, (nv,) [rad or m].
-        brake: largest change between steps, (nv,) [rad or m]; None: no limit.
-
-    Returns:
-        Steps, (k, nv) [rad or m]; k = 0 if the arm can stop at once.
-    """
-    if brake is None:
-        return np.empty((0, len(dq)))
-    return kernels.stopping_steps(
-        np.array(rooms, dtype=np.float64),
-        np.array(dq, dtype=np.float64),
-        np.array(bound, dtype=np.float64),
-        np.array(brake, dtype=np.float64),
-        CYCLES.most_stopping,
-    )
 
 
 def full_braking(previous: Array, brake: Array) -> Array:
@@ -650,21 +605,48 @@ class Limits(Declared):
         return kept(arm, JointBounds, self._key, partial(self._bounds_of, arm))
 
     def _bounds_of(self, arm: Arm) -> JointBounds:
-        """Return the bounds for the joints of an arm, made anew."""
-        bounds = joint_bounds(
-            arm,
-            step=self.step,
-            velocity=self.velocity,
-            acceleration=self.acceleration,
-            dt=self.dt,
-            position_margin=self.position_margin,
-            jerk=self.jerk,
-        )
-        if self.effort is not None:
-            bounds = replace(bounds, effort=_effort_of(arm, self.effort))
+        """Return the bounds for the joints of an arm, made anew.
+
+        Raises:
+            InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's
+                range.
+        """
+        bound = np.full(arm.nv, np.inf)
+        brake: Array | None = None
+        change: Array | None = None
+        change_of_change: Array | None = None
+        dt = self.dt
+        if self.step is not None:
+            bound = np.minimum(bound, _per_joint("step", self.step, arm))
+        if dt is not None:
+            speed = arm.limits.velocity
+            if self.velocity is not None:
+                speed = _per_joint("velocity", self.velocity, arm)
+            bound = np.minimum(bound, speed * dt)
+            if self.acceleration is not None:
+                change = _per_joint("acceleration", self.acceleration, arm) * dt**2
+                brake = change = np.clip(change, 1e-100, 1e200)  # neither overflow nor division by zero
+                if self.jerk is not None:
+                    change_of_change = np.maximum(_per_joint("jerk", self.jerk, arm) * dt**3, 1e-100)
+                    brake = _smoothable(arm, change, change_of_change)
+        position_limits = _position_limits(arm, self.position_margin)
+        effort = None if self.effort is None else _effort_of(arm, self.effort)
         if self.velocity is not None:
             _warn_of_speed(arm, self.velocity)
-        return bounds
+        units = arm.joint_units[arm.columns]
+        return JointBounds(
+            bound=bound,
+            # A step without limits counts as a usual one [rad].
+            travel=min(0.1, float(np.median(bound[arm.columns] / units))),
+            position_limits=position_limits,
+            brake=brake,
+            units=units,
+            slack=CONVERGED * units,
+            dt=dt,
+            acceleration=change,
+            jerk=change_of_change,
+            effort=effort,
+        )
 
 
 # Jerk limits: a moving average over the steps.

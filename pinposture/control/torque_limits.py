@@ -12,7 +12,7 @@ from pinposture.arm import Arm, ChainState, JointLoad
 from pinposture.arm.dynamics import StepLoads
 from pinposture.arm.weight import heaviest_load
 from pinposture.control.constraint import Inequalities
-from pinposture.control.limits import JointBounds, Limits, farthest, stopping_steps
+from pinposture.control.limits import JointBounds, Limits, farthest
 from pinposture.errors import InvalidValue
 from pinposture.units import CONVERGED, ROUNDING
 
@@ -265,7 +265,7 @@ class StepTorques:
         bounds = self._bounds
         if bounds.brake is None:
             return None
-        return stopping_steps(bounds.position_limits - start, moving, bounds.bound, bounds.brake)
+        return bounds.stopping_steps(start, moving)
 
     def _even_stop(self, start: Array, moving: Array) -> Array:
         """Return the steps of an even stop within the torque limits of its first posture."""

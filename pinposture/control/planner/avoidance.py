@@ -16,7 +16,7 @@ from pinposture.arm.dynamics import StepLoads
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
 from pinposture.control.constraint import Inequalities, describe_violated, inequalities_of
-from pinposture.control.limits import JointBounds, stopping_steps
+from pinposture.control.limits import JointBounds
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.torque_limits import StepTorques, Stop, TorqueLimits
 from pinposture.errors import InvalidValue
@@ -555,9 +555,7 @@ class Avoidance:
             if stop.loads is not None:
                 self._held = state, self.torques.excess_of(stop.loads.held_before)
             return stop
-        bounds = self._bounds
-        rooms = bounds.position_limits - (state.raw_positions + dq)
-        return Stop(stopping_steps(rooms, dq, bounds.bound, bounds.brake))
+        return Stop(self._bounds.stopping_steps(state.raw_positions + dq, dq))
 
     def _brake_from(self, state: ChainState) -> Stop:
         """Return the steps that stop the arm at once, and their torques."""
@@ -567,9 +565,7 @@ class Avoidance:
             return torques.stop() if known is None else torques.judged(known)
         if known is not None:
             return Stop(known)
-        bounds = self._bounds
-        rooms = bounds.position_limits - state.raw_positions
-        return Stop(stopping_steps(rooms, self._previous, bounds.bound, bounds.brake))
+        return Stop(self._bounds.stopping_steps(state.raw_positions, self._previous))
 
     def torques_at(self, state: ChainState) -> StepTorques | None:
         """Return the torques of steps at a state; None if they are not limited. The last ones are cached."""

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from sampling import cases, examples
 
 import pinposture as pp
+from pinposture import kernels
 from pinposture.control import Memory
-from pinposture.control.limits import full_braking, stopping_steps
+from pinposture.control.limits import CYCLES, full_braking
 from pinposture.control.planner.path import JointPath, retime
 from pinposture.motion.loop import RecordedLoop
 
@@ -36,14 +37,15 @@ def test_an_arm_stops_straight_on_within_its_limits(seed: int) -> None:
         needed += slowest
     spare = np.where(rng.random(n) < 0.5, 10.0, 10.0 ** rng.uniform(-6, 0, n)) * np.abs(needed)
     rooms = np.array([np.minimum(needed, 0.0) - spare, np.maximum(needed, 0.0) + spare])
-    steps = stopping_steps(rooms, dq, bound, brake)
+    steps = kernels.stopping_steps(rooms, dq, bound, brake, CYCLES.most_stopping)
     changes = np.diff(np.vstack([dq, steps, np.zeros(n)]), axis=0)
     assert np.all(np.abs(changes) <= brake * (1.0 + 1e-9))
     gone = steps.cumsum(axis=0)
     assert np.all(gone >= rooms[0] - 1e-11) and np.all(gone <= rooms[1] + 1e-11)
     assert len(steps) == max(int(np.ceil(np.max(np.abs(dq) / brake))) - 1, 0)
     if np.all(spare >= 5.0 * np.abs(needed)):
-        everywhere = stopping_steps(np.array([[-np.inf], [np.inf]]) * np.ones(n), dq, bound, brake)
+        free = np.array([[-np.inf], [np.inf]]) * np.ones(n)
+        everywhere = kernels.stopping_steps(free, dq, bound, brake, CYCLES.most_stopping)
         crossed = np.abs(everywhere * np.linalg.norm(dq) - np.linalg.norm(everywhere, axis=1)[:, None] * dq)
         assert np.all(crossed <= 1e-9)  # on the straight line that it is on
 
