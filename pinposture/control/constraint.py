@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import as_floats, finite_array, require_instance
+from pinposture._validation import as_floats, finite_array
 from pinposture.arm import ArmState
 from pinposture.control.controller import call_own
 from pinposture.errors import InvalidValue
@@ -72,15 +72,6 @@ class Inequalities(NamedTuple):
     def violation(self) -> float:
         """Distance of the worst row beyond its bound [m]; 0 if all are kept."""
         return max(0.0, -float(self.room.min(initial=0.0)))
-
-
-def check_constraints(constraints: Sequence[Constraint]) -> None:
-    """Raise InvalidValue unless all are constraints."""
-    allowed = "a sequence of objects with a method `rows(state)`, see `pinposture.control.Constraint`"
-    require_instance("constraints", constraints, Iterable, allowed)
-    for constraint in constraints:
-        if isinstance(constraint, type) or not callable(getattr(constraint, "rows", None)):
-            raise InvalidValue("constraints", constraint, allowed)
 
 
 def inequalities_of(constraints: Sequence[Constraint], state: ArmState) -> Inequalities:

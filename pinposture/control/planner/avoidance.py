@@ -319,7 +319,8 @@ class Avoidance:
     def _constraint_rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows:
         """Return the rows of constraints: none loses more than a share of its room, as pairs of clearance."""
         inequalities = self.inequalities(state)
-        matrix = inequalities.matrix[:, self.objective.columns] * self.objective.units
+        chain = self.objective.chain
+        matrix = inequalities.matrix[:, chain.columns] * chain.units
         room = inequalities.room - AVOIDANCE.step_clearance * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         return ConstraintRows(matrix, np.minimum(-self._approach * room, AVOIDANCE.gain_share * most))
@@ -328,7 +329,8 @@ class Avoidance:
         """Return the rows of pairs that are near; None if there are none."""
         if not len(near.distances):
             return None
-        matrix = near.jacobian[:, self.objective.columns] * self.objective.units
+        chain = self.objective.chain
+        matrix = near.jacobian[:, chain.columns] * chain.units
         room = near.distances - self.margin - AVOIDANCE.step_clearance * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         share = np.full(len(room), AVOIDANCE.gain_share)
@@ -341,11 +343,11 @@ class Avoidance:
         closing = -self._dt * near.rates
         approach = np.full(len(room), self._approach)
         if self._bounds.brake is not None:
-            brake = self._bounds.brake[self.objective.columns] / self.objective.units
+            brake = self._bounds.brake[chain.columns] / chain.units
             able = AVOIDANCE.retreat_share * (np.abs(matrix) @ np.minimum(brake, 1e9))
             approach = np.minimum(approach, able / np.maximum(closing, 1e-12))
         # From an obstacle that is faster than the arm, it retreats the earlier, the faster the obstacle is.
-        bound = self._bounds.bound[self.objective.columns] / self.objective.units
+        bound = self._bounds.bound[chain.columns] / chain.units
         speed = AVOIDANCE.retreat_speed_share * (np.abs(matrix) @ np.minimum(bound, 1e9))
         faster = closing > speed
         sight = (1.0 - speed[faster] / closing[faster]) * AVOIDANCE.constrained_distance * self._length
@@ -390,7 +392,7 @@ class Avoidance:
     @cached_property
     def _carried(self) -> NDArray[np.int64]:
         """Number of columns that move the body of each joint of the model, (njoints,)."""
-        return self.clearance.count_movers(self.objective.columns)
+        return self.clearance.count_movers(self.objective.chain.columns)
 
     def keeps(self, q: Array, path: Array, least: float) -> bool:
         """Whether straight motions keep a distance, given that the first configuration does, and constraints.
@@ -444,7 +446,8 @@ class Avoidance:
         inequalities = self.inequalities(state)
         missing = AVOIDANCE.path_clearance * self._length - inequalities.room
         near = missing > 0.0
-        matrix = inequalities.matrix[near][:, self.objective.columns] * self.objective.units
+        chain = self.objective.chain
+        matrix = inequalities.matrix[near][:, chain.columns] * chain.units
         return LinearRows(root * matrix, root * missing[near])
 
     def clear_stop(self, state: ChainState, dq: Array, stopping: Array | None = None) -> Array | None:

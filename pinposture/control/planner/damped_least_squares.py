@@ -11,7 +11,7 @@ from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.control.limits import StepBounds
 from pinposture.control.planner.avoidance import Avoidance
-from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
+from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH
 from pinposture.descent import Rating, descend
 from pinposture.kernels.arrays import PostureProblem, SearchSettings
@@ -403,9 +403,9 @@ class _PostureFit(NamedTuple):
     def step(self, state: ChainState, damping: float) -> ChainState | None:
         objective = self.problem.objective
         avoidance = self.problem.avoidance
-        columns = objective.columns
-        here = state.positions[columns]
-        lower, upper = ((edge[columns] - here) / objective.units for edge in self.problem.position_limits)
+        chain = objective.chain
+        here = state.positions[chain.columns]
+        lower, upper = ((edge[chain.columns] - here) / chain.units for edge in self.problem.position_limits)
         lower = np.clip(lower, -DESCENT.search_step, 0.0)
         upper = np.clip(upper, 0.0, DESCENT.search_step)
         rows = None if avoidance is None else avoidance.rows(state, lower, upper)
@@ -426,7 +426,7 @@ def _minimize_alone(
         chain=arm.kinematics.constants,
         joints=chain.joints,
         units=chain.units,
-        position_limits=np.ascontiguousarray(position_limits[:, objective.columns]),
+        position_limits=np.ascontiguousarray(position_limits[:, chain.columns]),
         indices=chain.has_target,
         ends=chain.ends,
         targets=chain.goals,
@@ -438,29 +438,6 @@ def _minimize_alone(
     positions = state.raw_positions.copy()
     squares, mean = kernels.minimise_posture_errors(problem, settings, positions)
     return LeastSquaresResult(state.moved(positions - state.raw_positions), 0.5 * squares, mean, 0.0)
-
-
-def find_positions_near(objective: Objective, state: ChainState, position_limits: Array) -> Array | None:
-    """Return joint positions that take the target posture, near those of a state.
-
-    Args:
-        objective: points and chords.
-        state: the initial state.
-        position_limits: smallest and largest joint positions, (2, nv) [rad or m].
-
-    Returns:
-        Joint positions, (nv,) [rad or m]: those of the configuration of the target if it has one, else those
-        that a short search finds; None if it finds none.
-    """
-    arm = objective.arm
-    target = objective.target
-    if target.q is not None:
-        return arm.difference(arm.origin, target.q) if len(objective.active) == arm.n_modules else None
-    if objective.mean_error(state) > PATH.short_motion * arm.length:
-        return None
-    good = OBJECTIVE.goal_tolerance * arm.length
-    found = _minimize_alone(objective, state, position_limits, good, DESCENT.quick_steps)
-    return found.state.raw_positions if found.mean_error <= good else None
 
 
 def damped_hessian(matrix: Array, damping: float) -> Array:

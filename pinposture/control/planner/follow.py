@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf, isfinite
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -30,13 +30,13 @@ from pinposture.control.planner.damped_least_squares import (
     StepConstraints,
     correct_curvature,
     damped_hessian,
-    find_positions_near,
     mean_diagonal,
     reduce_errors,
     solve_posture,
     solve_priority,
     solve_remaining,
 )
+from pinposture.control.planner.goal import find_positions_near
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import PATH, JointPath, TimedPath, timed_again
 from pinposture.control.tasks import Displaced, errors_of
@@ -293,7 +293,7 @@ class PathProgress(NamedTuple):
 
     def towards(self, target: Target) -> PathProgress:
         """Return this progress with another target."""
-        return self._replace(objective=self.objective.with_target(target), ahead=None)
+        return self._replace(objective=replace(self.objective, target=target), ahead=None)
 
     def among(self, scene: Scene | None) -> PathProgress:
         """Return this progress among other obstacles, beside which `GeodesicMemory.braked` stops."""
@@ -302,22 +302,31 @@ class PathProgress(NamedTuple):
         return self._replace(timed=replace(self.timed, path=self.path.revised(scene=scene)), ahead=None)
 
     @classmethod
-    def begin(cls, timed: TimedPath, previous: Array | None = None) -> PathProgress:
-        """Return the progress at the start of a path.
+    def begin(
+        cls,
+        path: JointPath,
+        limits: Limits,
+        previous: Array | None,
+        max_rate: float | Array = inf,
+        effort: bool = False,
+    ) -> PathProgress:
+        """Return the progress at the start of a path, which is timed from the speed of the arm on.
 
         Args:
-            timed: the path.
+            path: the path.
+            limits: the limits of each step.
             previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
+            max_rate: as for `retime`.
+            effort: likewise.
         """
-        path = timed.path
-        if timed.profile is None or previous is None:
-            return cls(timed, path.objective)
-        ahead = path.offsets[1] - path.offsets[0]
-        squares = float(ahead @ ahead)
-        speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
-        speed = min(speed, path.end)
-        timed = timed_again(path, timed.limits, timed.max_rate, speed, timed.effort)
-        return cls(timed, path.objective, speed=speed)
+        speed = 0.0
+        if previous is not None:
+            ahead = path.offsets[1] - path.offsets[0]
+            squares = float(ahead @ ahead)
+            speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
+            speed = min(speed, path.end)
+        timed = timed_again(path, limits, max_rate, speed, effort)
+        return cls(timed, path.objective, speed=0.0 if timed.profile is None else speed)
 
 
 class Goal(NamedTuple):
@@ -385,7 +394,12 @@ def follow(
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq
     on_it = known is not None and known.timed is path and known.objective is objective
-    progress = known if known is not None and on_it else PathProgress.begin(path, previous)
+    if known is not None and on_it:
+        progress = known
+    elif previous is None or path.profile is None:
+        progress = PathProgress(path, objective)
+    else:
+        progress = PathProgress.begin(path.path, path.limits, previous, path.max_rate, path.effort)
     bounds = limits.for_arm(state.arm)
     avoidance = Avoidance.of(progress.path.scene, objective, bounds, previous)
     step = fast_step(progress, state, bounds, previous) if avoidance is None else None
@@ -455,7 +469,7 @@ def fast_step(
         messages = _Messages.of(avoidance, state, path)
     return Step(
         dq,
-        objective.active,
+        objective.chain.active,
         ahead.at_limit[i],
         error_increasing=_rises(objective, before, after),
         violated_constraints=messages.violated,
@@ -566,7 +580,7 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
     if goal is None:
         return None
     arm = state.arm
-    targets = objective.chain
+    chain = objective.chain
     step = StepArrays(np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_))
     simple, before, after = kernels.step_to(
         arm.kinematics.constants,
@@ -578,14 +592,14 @@ def step_to_goal(objective: Objective, state: ChainState, bounds: JointBounds) -
         arm.multi_turn,
         PATH.short_motion,
         ROUNDING,
-        PointGoals(targets.targets, targets.flags),
+        PointGoals(chain.targets, chain.flags),
         step,
     )
-    if not (simple and after <= len(objective.active) * OBJECTIVE.goal_tolerance * arm.length):
+    if not (simple and after <= len(chain.active) * OBJECTIVE.goal_tolerance * arm.length):
         return None
     return Step(
         step.dq,
-        objective.active,
+        chain.active,
         step.at_limit,
         error_increasing=_rises(objective, before, after),
         following_path=True,
@@ -637,7 +651,8 @@ def pursue(
         steady = bool(np.all(np.abs(motion - before.motion) <= bounds.brake * (1.0 + ROUNDING)))
     if not (target.led or (steady and np.any(motion))):
         return None, goal
-    columns = objective.columns
+    chain = objective.chain
+    columns = chain.columns
     positions = state.raw_positions
     rest = _turned(arm, nearest - positions)
     near = np.abs(rest) <= FOLLOWING.most_pursued_motion * arm.joint_units
@@ -651,7 +666,6 @@ def pursue(
     dq[columns] = np.minimum(np.maximum(proposal, step_bounds.lower), step_bounds.upper)[columns]
     reached = np.empty(arm.nv)
     at_limit = np.empty(arm.nv, dtype=np.bool_)
-    chain = objective.chain
     error, after = kernels.look_ahead(
         arm.kinematics.constants,
         positions,
@@ -667,7 +681,7 @@ def pursue(
     )
     step = Step(
         dq,
-        objective.active,
+        chain.active,
         at_limit,
         error_increasing=_rises(objective, error, after),
         violated_constraints=step_bounds.violated_constraints,
@@ -827,7 +841,8 @@ def step_along(
         return CandidateStep(dq, progress.moved_to(s, bounds.travel, held_back and s <= here))
     if progress.timed.profile is None and here < s:
         lag = np.abs(path.offset(here) - path.offset_of(state, here))
-        held_back = bool(np.any((lag > FOLLOWING.most_lag * progress.timed.bounds.bound)[objective.columns]))
+        late = lag > FOLLOWING.most_lag * progress.timed.bounds.bound
+        held_back = bool(np.any(late[objective.chain.columns]))
     progress = progress.moved_to(s, bounds.travel, held_back)
     may_follow = inside and tasks is None
     may_stop = may_follow and avoidance is not None and avoidance.still
@@ -848,7 +863,7 @@ def step_along(
     step = _bend_to_tasks(progress, dq, constraints, tasks)
     if tasks is not None and proposal.rest is not None:
         most = np.abs(dq) + ROUNDING * objective.chain.units
-        if np.any((np.abs(step.dq) > most)[objective.columns]):
+        if np.any((np.abs(step.dq) > most)[objective.chain.columns]):
             shared = _share(proposal.rest, dq)
             step = _bend_to_tasks(progress, shared, constraints, tasks)
     return step
@@ -960,7 +975,7 @@ def _next_on_path(
     timed = progress.timed
     path = progress.timed.path
     here = progress.s
-    columns = progress.objective.columns
+    columns = progress.objective.chain.columns
     units = progress.objective.chain.units
     if timed.profile is None:
         step = path.step_along(state, here, step_bounds.both)
@@ -1150,7 +1165,7 @@ def check_step(
     )
     return Step(
         dq,
-        objective.active,
+        objective.chain.active,
         at_limit,
         reason,
         error_increasing=_rises(objective, before_error, after_error),

@@ -35,7 +35,7 @@ from pinposture.control.planner.follow import (
 )
 from pinposture.control.planner.goal import PlanNeeded, known_goal
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
-from pinposture.control.planner.path import JointPath, TimedPath, timed_again
+from pinposture.control.planner.path import JointPath, TimedPath
 from pinposture.control.planner.plan import (
     find_path,
     is_small_change,
@@ -185,7 +185,7 @@ class Geodesic:
             InvalidValue: the target of the path does not fit the arm.
         """
         path.path.objective.target.check(state.arm)
-        progress = PathProgress.begin(path)._replace(expected=state.raw_positions)
+        progress = PathProgress(path, path.path.objective, expected=state.raw_positions)
         motion = Memory(np.zeros(state.arm.nv)) if memory is None else memory
         return GeodesicMemory(motion.dq, motion.stopping, progress)
 
@@ -212,7 +212,7 @@ class Geodesic:
         if avoidance is None:
             return updated
         path = shortcut(updated.path, updated.s, now.state, now.bounds, avoidance, prompt=not self.plans)
-        return updated if path is None else PathProgress.begin(timed_again(path, now.limits, effort=effort))
+        return updated if path is None else now.begin(path, effort)
 
     def _renewed(self, progress: PathProgress) -> PathProgress:
         """Return the progress with the tasks, weights and constraints of this controller."""
@@ -232,7 +232,7 @@ class Geodesic:
             cut = not (was_blocked or progress.arrived or self._is_clear_of_maps(now, progress))
         if changes and self._has_free_goal(now, progress):
             path = self._find_path(self._problem(progress.objective, now.state, now.bounds))
-            return PathProgress.begin(timed_again(path, now.limits, effort=progress.timed.effort))
+            return now.begin(path, progress.timed.effort)
         if not cut and (progress.idle_travel < GEODESIC.most_idle_travel or progress.arrived):
             return _within(progress, now)
         attempt = progress.path.attempt + 1
@@ -243,7 +243,7 @@ class Geodesic:
         problem = self._problem(progress.objective, now.state, now.bounds)
         rest = None if progress.path.blocked_by else _rest(progress, now.state)
         path = self._find_path(problem, attempt, rest)
-        return PathProgress.begin(timed_again(path, now.limits, effort=progress.timed.effort))
+        return now.begin(path, progress.timed.effort)
 
     def _has_free_goal(self, now: _Situation, progress: PathProgress) -> bool:
         """Whether the path leads elsewhere than to the target posture, which the arm can take by now."""
@@ -288,22 +288,18 @@ class Geodesic:
 
         `effort` is as for `retime`.
         """
-        limits = now.limits
         objective = now.objective
         problem = self._problem(objective, now.state, now.bounds)
         fast = problem.avoidance is None and not objective.tasks  # wherever the target has gone
         if progress is None or not (fast or is_small_change(progress.objective, objective)):
-            path = self._find_path(problem)
-            return PathProgress.begin(timed_again(path, limits, effort=effort))
+            return now.begin(self._find_path(problem), effort)
         idle = progress.idle_travel >= GEODESIC.most_idle_travel
         s = np.inf if progress.arrived or progress.path.attempt or idle else progress.s
         former = progress.path
         if former.objective is not progress.objective:
             former = former.revised(objective=progress.objective)
         path, bend = replan(former, s, progress.bend, problem, prompt=not self.plans)
-        if bend is None:
-            return PathProgress.begin(timed_again(path, limits, effort=effort))
-        return progress.deformed(path, bend, limits)
+        return now.begin(path, effort) if bend is None else progress.deformed(path, bend, now.limits)
 
     def _objective(self, arm: Arm, target: Target, known: Objective | None) -> Objective:
         """Return the objective for a target: a known one if that has it, or differs from it in the target."""
@@ -316,7 +312,7 @@ class Geodesic:
             or known.joint_weight != self.joint_weight
         ):
             return self.objective(arm, target)
-        return known if known.target is target else known.with_target(target)
+        return known if known.target is target else replace(known, target=target)
 
     def keep_clear(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -418,6 +414,10 @@ class _Situation:
                 )
             self._avoidance = progress, avoidance
         return self._avoidance[1]
+
+    def begin(self, path: JointPath, effort: bool) -> PathProgress:
+        """Return the progress of the arm at the start of a path; `effort` is as for `retime`."""
+        return PathProgress.begin(path, self.limits, self.previous, effort=effort)
 
     def held(self, step: Step | None) -> Step | None:
         """Return a step within torque limits, from which the arm can stop within them; None if it is not.
@@ -580,7 +580,8 @@ def _return_into_limits(now: _Situation) -> Step | None:
             evading = _smallest_motion(
                 avoidance, StepConstraints.of(objective, state, step_bounds, avoidance)
             )
-            dq[objective.columns] = evading[objective.columns]
+            moving = objective.chain.columns
+            dq[moving] = evading[moving]
         dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
         if share < 1.0:
             kept = "the margin to an obstacle" if now.torques is None else "torque limits or the margin"
@@ -631,8 +632,6 @@ def _follow_path(now: _Situation) -> Step:
     state = now.state
     before = now.before
     progress = controller._update(now)
-    if before is None or progress.timed.path.start is not before.timed.path.start:
-        progress = PathProgress.begin(progress.timed, now.previous)
     avoidance = now.avoidance(progress)
     if progress is not before and (avoidance is None or avoidance.still):
         step = fast_step(progress, state, now.bounds, now.previous, avoidance=avoidance)
@@ -664,13 +663,14 @@ def _within_torques(
     Returns:
         The step, (nv,) [rad or m], and the solution of its quadratic program; None if it stays.
     """
-    hessian = scaled(torques.inertia[np.ix_(objective.columns, objective.columns)], objective.units)
+    chain = objective.chain
+    hessian = scaled(torques.inertia[np.ix_(chain.columns, chain.columns)], chain.units)
     gradient = -hessian @ objective.normalize(dq)
     closest = dq
     solution = None
     for _ in range(GEODESIC.torque_iterations):
         matrix, least = torques.rows(closest)
-        limits = ConstraintRows(matrix[:, objective.columns] * objective.units, least)
+        limits = ConstraintRows(matrix[:, chain.columns] * chain.units, least)
         solution = solve(
             hessian, gradient, constraints.lower, constraints.upper, constraints.rows, hard=limits
         )
@@ -749,7 +749,7 @@ def plan_from(
     if rest is not None:
         rest = np.vstack([np.zeros(arm.nv), rest[1:] - previous])
     path = controller._find_path(problem, needed.attempt, rest)
-    progress = PathProgress.begin(timed_again(path, limits), previous)
+    progress = PathProgress.begin(path, limits, previous)
     bare: dict[str, Any] = {"objective": None, "scene": None}  # large to send, and the caller has them
     timed = replace(progress.timed, path=progress.path.revised(**bare))
     nothing = cast(Objective, None)
@@ -776,10 +776,10 @@ def adopt_plan(
     """
     objective = controller.objective(arm, target)
     path = progress.path.revised(objective=objective, scene=controller.scene)
-    timed = replace(progress.timed, path=path, limits=limits, bounds=limits.for_arm(arm))
     if late is None:
+        timed = replace(progress.timed, path=path, limits=limits, bounds=limits.for_arm(arm))
         return progress._replace(timed=timed, objective=objective)
-    return PathProgress.begin(timed, late.dq)._replace(expected=progress.expected)
+    return PathProgress.begin(path, limits, late.dq)._replace(expected=progress.expected)
 
 
 def _smallest_step(avoidance: Avoidance, constraints: StepConstraints) -> ClearStep:

@@ -12,13 +12,15 @@ from pinposture import kernels
 from pinposture.arm import ChainState
 from pinposture.arm.arm import nearest_turns
 from pinposture.control.planner.damped_least_squares import (
+    DESCENT,
     FreeFit,
     LeastSquaresResult,
     PlanningProblem,
     minimize,
     minimize_from_free_fit,
 )
-from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.objective import OBJECTIVE, Objective
+from pinposture.control.planner.path import PATH
 from pinposture.placement.points import initial_guesses, points_determine_joints
 from pinposture.units import CONVERGED
 
@@ -159,7 +161,7 @@ def _starts(problem: PlanningProblem, held: bool, before: ChainState | None) -> 
     rng = np.random.default_rng(0)
     for number in range(GOAL.random_starts):
         origin = arm.straight() if number % 2 else state.q
-        change = objective.displacement(GOAL.random_spread * rng.normal(size=len(objective.columns)))
+        change = objective.displacement(GOAL.random_spread * rng.normal(size=len(objective.chain.columns)))
         yield _within_limits(problem, arm.integrate(origin, change))
 
 
@@ -176,7 +178,7 @@ def _within_limits(problem: PlanningProblem, q: Array) -> ChainState:
         last = int(np.flatnonzero(objective.target.has_target)[-1])
         change = change * arm.support[last]
     moved = np.zeros(arm.nv)
-    columns = objective.columns
+    columns = objective.chain.columns
     moved[columns] = np.clip(here + change, position_limits[0], position_limits[1])[columns] - here[columns]
     return state.moved(moved)
 
@@ -187,9 +189,35 @@ def known_goal(objective: Objective, position_limits: Array, before: Array) -> C
     Multi-turn joints are within half a turn of a previous configuration.
     """
     arm = objective.arm
-    q = objective.target.q
-    if q is None or len(objective.active) < arm.n_modules:
+    goal = objective.goal
+    if goal is None or len(objective.chain.active) < arm.n_modules:
         return None
-    goal = ChainState(arm, nearest_turns(arm, q, before, position_limits))
+    turned = nearest_turns(arm, goal.q, before, position_limits)
+    if turned is not goal.q:
+        goal = ChainState(arm, turned)
     inside = kernels.position_excess(goal.raw_positions, position_limits, arm.kinematics.columns) == 0.0
     return goal if inside and objective.has_exact_goal else None
+
+
+def find_positions_near(objective: Objective, state: ChainState, position_limits: Array) -> Array | None:
+    """Return joint positions that take the target posture, near those of a state.
+
+    Args:
+        objective: points and chords.
+        state: the initial state.
+        position_limits: smallest and largest joint positions, (2, nv) [rad or m].
+
+    Returns:
+        Joint positions, (nv,) [rad or m]: those of the configuration of the target if it has one, else those
+        that a short search finds; None if it finds none.
+    """
+    arm = objective.arm
+    goal = objective.goal
+    if goal is not None:
+        return goal.raw_positions if len(objective.chain.active) == arm.n_modules else None
+    if objective.mean_error(state) > PATH.short_motion * arm.length:
+        return None
+    good = OBJECTIVE.goal_tolerance * arm.length
+    problem = PlanningProblem(objective, state, position_limits)
+    found = minimize(problem, state, good, steps=DESCENT.quick_steps)
+    return found.state.raw_positions if found.mean_error <= good else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from math import sqrt
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from pinposture import kernels
 from pinposture._validation import require_instance, require_positive
 from pinposture.arm import Arm, ChainState
 from pinposture.arm.arm import kept
-from pinposture.control.constraint import Constraint, check_constraints
+from pinposture.control.constraint import Constraint
 from pinposture.control.controller import task_errors
 from pinposture.control.tasks import ControlTask, errors_of, rows_of
 from pinposture.errors import InvalidValue
@@ -65,69 +65,64 @@ class ChainObjective(NamedTuple):
     """Points and chords of an objective as arrays for kernels. Do not write to them.
 
     Attributes:
-        joints: index along the chain of each joint of `Objective.columns`, (n,).
-        ends: how many of them move each control point that has a target, (p,).
+        columns: degrees of freedom of the chain that have room to move, from base to tip, (n,).
+        joints: index along the chain of each of them, (n,).
         units: unit of motion of each of them, (n,) [rad or m].
-        has_target: indices of the control points that have a target, (p,).
+        ends: how many of them move each control point that has a target, (p,).
+        active: the control points that have a target, p numbers.
+        has_target: the same as an array, (p,).
         flags: the same as a mask, (m,).
         targets: target positions of all control points, (m, 3) [m].
         goals: target positions of those that have one, (p, 3) [m].
         weights: weights of their squared errors, (p,).
         chords: weights of the squared errors of the chords to the previous point, (p,); 0 for the first.
+        roots: roots of the weights of points, (p, 1), and of chords, (p - 1, 1).
         normal: normal of the plane of a planar arm, (3,); zero for a spatial one.
     """
 
+    columns: NDArray[np.int64]
     joints: NDArray[np.int64]
-    ends: NDArray[np.int64]
     units: Array
+    ends: NDArray[np.int64]
+    active: tuple[int, ...]
     has_target: NDArray[np.intp]
     flags: NDArray[np.bool_]
     targets: Array
     goals: Array
     weights: Array
     chords: Array
+    roots: tuple[Array, Array]
     normal: Array
 
     def points_of(self, state: ChainState) -> Array:
         """Return the positions of the control points that have a target, (p, 3) [m]."""
         points = state.placements.points
-        return points if len(self.has_target) == len(points) else points[self.has_target]
+        return points if len(self.active) == len(points) else points[self.has_target]
 
 
-class _Layout(NamedTuple):
-    """Data shared by objectives of an arm with the same weights; see `Objective`."""
-
-    columns: NDArray[np.int64]
-    units: Array
-    active: tuple[int, ...]
-    every: NDArray[np.bool_]  # true for each control point that has a target, (p,)
-    roots: tuple[Array, Array]  # of the weights of points (p, 1) and of chords (p - 1, 1)
-    chain: ChainObjective  # without targets
-
-
-def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
+def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> ChainObjective:
+    """Return the points and chords of all objectives of an arm with the same weights, without targets."""
     joints = np.flatnonzero(arm.limits.upper[arm.columns] > arm.limits.lower[arm.columns]).astype(np.int64)
     columns = arm.columns[joints].astype(np.int64)
     indices = np.flatnonzero(weights > 0.0)
     points = weights[indices]
     chords = relative_position_weight * np.minimum(points[1:], points[:-1])
-    units = np.array(arm.joint_units[columns])
     none = np.empty((0, 3))
-    chain = ChainObjective(
+    return ChainObjective(
+        columns=columns,
         joints=joints,
+        units=np.array(arm.joint_units[columns]),
         ends=np.searchsorted(joints, arm.kinematics.ends[indices]).astype(np.int64),
-        units=units,
+        active=tuple(indices.tolist()),
         has_target=indices,
         flags=weights > 0.0,
         targets=none,
         goals=none,
         weights=points,
         chords=np.concatenate([[0.0], chords]),
+        roots=(np.sqrt(points)[:, None], np.sqrt(chords)[:, None]),
         normal=np.zeros(3) if arm.dimension == 3 else np.cross(*arm.plane),
     )
-    roots = np.sqrt(points)[:, None], np.sqrt(chords)[:, None]
-    every = np.ones(len(indices), dtype=np.bool_)
-    return _Layout(columns, units, tuple(indices.tolist()), every, roots, chain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,21 +150,15 @@ class Objective:
     constraints: Sequence[Constraint] = ()
 
     @cached_property
-    def _layout(self) -> _Layout:
+    def chain(self) -> ChainObjective:
+        """Points and chords as arrays for kernels."""
         weights = self.target.weights
         weight = self.relative_position_weight
-        key = weight, weights.tobytes()
-        return kept(self.arm, _Layout, key, partial(_lay_out, self.arm, weights, weight))
-
-    @cached_property
-    def columns(self) -> NDArray[np.int64]:
-        """Degrees of freedom of the chain that have room to move, from base to tip, (n,)."""
-        return self._layout.columns
-
-    @cached_property
-    def units(self) -> Array:
-        """Unit of motion of each of them, (n,) [rad or m]."""
-        return self._layout.units
+        make = partial(_lay_out, self.arm, weights, weight)
+        chain = kept(self.arm, ChainObjective, (weight, weights.tobytes()), make)
+        points = np.array(self.target.points)
+        goals = points if len(chain.active) == len(points) else points[chain.has_target]
+        return chain._replace(targets=points, goals=goals)
 
     @cached_property
     def mu(self) -> float:
@@ -177,33 +166,16 @@ class Objective:
         return self.joint_weight * self.arm.length / sqrt(self.arm.n_modules)
 
     @cached_property
-    def active(self) -> tuple[int, ...]:
-        """The control points that have a target."""
-        return self._layout.active
+    def goal(self) -> ChainState | None:
+        """The state at the configuration of the target; None if that is not known."""
+        return None if self.target.q is None else ChainState(self.arm, self.target.q)
 
     @cached_property
     def has_exact_goal(self) -> bool:
         """Whether the configuration of the target takes its points: it may miss them, or not be known."""
-        if self.target.q is None:
+        if self.goal is None:
             return False
-        return (
-            self.mean_error(ChainState(self.arm, self.target.q)) <= OBJECTIVE.goal_tolerance * self.arm.length
-        )
-
-    @cached_property
-    def chain(self) -> ChainObjective:
-        """Points and chords as arrays for kernels."""
-        points = np.array(self.target.points)
-        layout = self._layout
-        goals = points if len(layout.active) == len(points) else points[layout.chain.has_target]
-        return layout.chain._replace(targets=points, goals=goals)
-
-    def with_target(self, target: Target) -> Objective:
-        """Return the same objective for another target."""
-        other = replace(self, target=target)
-        if np.array_equal(target.weights, self.target.weights):
-            vars(other)["_layout"] = self._layout
-        return other
+        return self.mean_error(self.goal) <= OBJECTIVE.goal_tolerance * self.arm.length
 
     def rows(self, state: ChainState) -> LinearRows:
         """Return all rows without priority, times the roots of their weights."""
@@ -215,12 +187,13 @@ class Objective:
 
     def posture_rows(self, state: ChainState, errors: Array) -> LinearRows:
         """Return the rows of points and chords, for errors of the points, (p, dimension) [m]."""
-        jacobians = state.task_jacobians[self.chain.has_target][:, :, self.columns]
-        return LinearRows(self._weigh(jacobians).reshape(-1, len(self.columns)), self._weigh(errors).ravel())
+        columns = self.chain.columns
+        jacobians = state.task_jacobians[self.chain.has_target][:, :, columns]
+        return LinearRows(self._weigh(jacobians).reshape(-1, len(columns)), self._weigh(errors).ravel())
 
     def _weigh(self, values: Array) -> Array:
         """Return values of points, (p, ...), and their differences for chords, times the roots of weights."""
-        points, chords = (root.reshape(-1, *[1] * (values.ndim - 1)) for root in self._layout.roots)
+        points, chords = (root.reshape(-1, *[1] * (values.ndim - 1)) for root in self.chain.roots)
         if self.relative_position_weight == 0.0:
             return np.asarray(points * values)
         return np.concatenate([points * values, chords * (values[1:] - values[:-1])])
@@ -233,7 +206,7 @@ class Objective:
             if task.priority == priority:
                 rows = rows_of(task, state, self.target)
                 root = float(np.sqrt(task.weight))
-                matrices.append(root * rows.jacobian[:, self.columns] * self.units)
+                matrices.append(root * rows.jacobian[:, self.chain.columns] * self.chain.units)
                 errors.append(root * rows.error)
         return LinearRows(np.concatenate(matrices), np.concatenate(errors)) if matrices else None
 
@@ -252,7 +225,7 @@ class Objective:
         The errors of a planar arm are measured in its plane. The sum is weighted and includes chords.
         """
         chain = self.chain
-        errors = np.empty((len(self.active), 3))
+        errors = np.empty((len(chain.active), 3))
         squares = kernels.measure_point_errors(
             chain.points_of(state), chain.goals, chain.weights, chain.chords, chain.normal, errors
         )
@@ -270,14 +243,16 @@ class Objective:
     def mean_error(self, state: ChainState) -> float:
         """Return the mean distance of the control points from their targets [m]."""
         errors = self.point_errors(state)[0]
-        return kernels.sum_point_errors(errors, np.zeros_like(errors), self._layout.every) / len(errors)
+        every = np.ones(len(errors), dtype=np.bool_)
+        return kernels.sum_point_errors(errors, np.zeros_like(errors), every) / len(errors)
 
     def distance_to(self, other: Objective) -> float:
         """Return the mean distance between two target postures [m]; infinite unless the same points count."""
-        if self.active != other.active:
+        mine = self.chain
+        if mine.active != other.chain.active:
             return float("inf")
-        every = self._layout.every
-        return kernels.sum_point_errors(self.chain.goals, other.chain.goals, every) / len(every)
+        every = np.ones(len(mine.goals), dtype=np.bool_)
+        return kernels.sum_point_errors(mine.goals, other.chain.goals, every) / len(every)
 
     def measure_pieces(self, positions: Array, offsets: Array) -> Array:
         """Return the lengths of straight motions in the metric of the planner, (N,) [m].
@@ -289,7 +264,7 @@ class Objective:
             offsets: displacements from there that the motions connect, (N + 1, nv) [rad or m].
         """
         points = self.arm.kinematics.points(positions + offsets)
-        joints = np.diff(offsets[:, self.columns], axis=0) / self.units
+        joints = np.diff(offsets[:, self.chain.columns], axis=0) / self.chain.units
         squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
         return np.asarray(np.sqrt(squares + self.mu**2 * (joints**2).sum(axis=1)))
 
@@ -300,12 +275,12 @@ class Objective:
     def displacement(self, x: Array) -> Array:
         """Return joint displacements (..., nv) [rad or m] of steps x, (..., n); other joints do not move."""
         dq = np.zeros((*x.shape[:-1], self.arm.nv))
-        dq[..., self.columns] = x * self.units
+        dq[..., self.chain.columns] = x * self.chain.units
         return dq
 
     def normalize(self, dq: Array) -> Array:
         """Return the step x (n,), in `Arm.joint_units`, of a joint displacement (nv,) [rad or m]."""
-        return np.asarray(dq[self.columns] / self.units)
+        return np.asarray(dq[self.chain.columns] / self.chain.units)
 
 
 def check_objective(
@@ -315,7 +290,11 @@ def check_objective(
     constraints: Sequence[Constraint],
 ) -> None:
     """Raise InvalidValue if a weight is out of range, or a task or constraint is invalid."""
-    check_constraints(constraints)
+    allowed = "a sequence of objects with a method `rows(state)`, see `pinposture.control.Constraint`"
+    require_instance("constraints", constraints, Iterable, allowed)
+    for constraint in constraints:
+        if isinstance(constraint, type) or not callable(getattr(constraint, "rows", None)):
+            raise InvalidValue("constraints", constraint, allowed)
     require_positive("joint_weight", joint_weight)
     if joint_weight > OBJECTIVE.most_joint_weight:
         raise InvalidValue("joint_weight", joint_weight, f"at most {OBJECTIVE.most_joint_weight:g}")

@@ -249,7 +249,7 @@ class JointPath:
             self.positions,
             state.raw_positions,
             self.arm.kinematics.endless,
-            self.objective.columns,
+            self.objective.chain.columns,
             self.objective.chain.units,
             s,
             step_bounds,

@@ -196,7 +196,7 @@ class PathSearch:
         )
         self._trapped = np.zeros(2, dtype=np.bool_)
         self._between_ends = _Growth(np.zeros(self.arm.nv), self._end, TREES.join_nodes)
-        self._share = min(1.0, TREES.few_joints / len(objective.columns))
+        self._share = min(1.0, TREES.few_joints / len(objective.chain.columns))
         self._units = self._share * self.arm.joint_units
         self._positions = self.arm.positions(self._start.q)
         lowest, highest = position_limits - self._positions
@@ -422,7 +422,7 @@ class PathSearch:
         """Return a path, (M + 1, nv), after a number of attempted shortcuts."""
         path, _ = divide(raw, self._units)
         lengths = self._measure(path)
-        columns = self.problem.objective.columns
+        columns = self.problem.objective.chain.columns
         for number in range(shortcuts):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
             if j - i < 2:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from math import inf
 from time import perf_counter
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,9 +249,10 @@ def _task_errors(
             errors planned for that position change by as much as other tasks change those of the arm.
         s: that position, in waypoints.
     """
-    here, last = (objective.errors_of_tasks(at, priority=True) for at in (state, goal))
-    if here is None or last is None:
+    here = objective.errors_of_tasks(state, priority=True)
+    if here is None:
         return np.zeros(0), np.zeros(0)
+    last = cast(Array, objective.errors_of_tasks(goal, priority=True))
     if former is None:
         return here, last
     share = s / former.end
@@ -275,9 +276,9 @@ def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> Join
         if goal is None or not (avoidance is None or avoidance.allows(goal)):
             return None
     motion = _size(objective, objective.arm.difference(state.q, goal.q))
-    if motion * len(objective.columns) > PLAN.most_short_motion:
+    if motion * len(objective.chain.columns) > PLAN.most_short_motion:
         return None
-    path = direct_path(objective, state.q, goal.q, position_limits)
+    path = direct_path(objective, state, goal.q, position_limits)
     path = replace(path, task_errors=_task_errors(objective, state, goal))
     if avoidance is None:
         return path
@@ -321,7 +322,7 @@ def shortcut(
     possible = _possible_clearance(avoidance, state, arm.chain_at(goal))
     if not avoidance.keeps(state.q, straight, possible):  # quicker than finding the path
         return None
-    direct = direct_path(objective, state.q, goal, bounds.position_limits)
+    direct = direct_path(objective, state, goal, bounds.position_limits)
     if not _is_clear(direct, avoidance, possible):
         return None
     return replace(direct, scene=avoidance.clearance.scene)
@@ -389,7 +390,7 @@ def _clearest_path(
     tasks = _task_rows(objective, state, goal)
     if avoidance is None:
         penalties = None if tasks is None else Penalties(tasks)
-        return direct_path(objective, state.q, goal.q, position_limits, penalties, attempt)
+        return direct_path(objective, state, goal.q, position_limits, penalties, attempt)
     possible = _possible_clearance(avoidance, state, goal)
     tolerant = problem._replace(avoidance=avoidance.tolerating(state, goal))
     tried = _Candidates(PathSearch(tolerant, goal, possible, attempt, until), tasks, report)
@@ -422,7 +423,7 @@ class _Candidates:
     def most_direct(self) -> JointPath:
         """The most direct path, whatever is in its way."""
         objective, state, position_limits, _ = self._search.problem
-        return direct_path(objective, state.q, self._search.goal.q, position_limits)
+        return direct_path(objective, state, self._search.goal.q, position_limits)
 
     @property
     def short(self) -> float:
@@ -442,7 +443,7 @@ class _Candidates:
         search = self._search
         variant = 2 * attempt
         count = PLAN.paths // (1 + attempt)
-        too_many = len(search.problem.objective.columns) > PLAN.most_relaxed_joints
+        too_many = len(search.problem.objective.chain.columns) > PLAN.most_relaxed_joints
         searched = None
         hopeless = False
         if guess is not None:
@@ -527,7 +528,7 @@ class _Candidates:
         self._relaxed += 1
         objective, start, position_limits, _ = self._search.problem
         penalties = self._penalties(PLAN.clearance_roots[(variant + k) % len(PLAN.clearance_roots)])
-        return direct_path(objective, start.q, self._search.goal.q, position_limits, penalties, variant + k)
+        return direct_path(objective, start, self._search.goal.q, position_limits, penalties, variant + k)
 
     def _relax_found(self, offsets: Array, found_by: str) -> Iterator[JointPath]:
         """Yield a path that was found, (N + 1, nv), relaxed, and as it is."""
@@ -537,7 +538,7 @@ class _Candidates:
         self._tell(f"relaxation of a path found by {found_by}")
         try:
             relaxed = relax_path(
-                objective, start.q, offsets, position_limits, self._penalties(PLAN.searched_root)
+                objective, start, offsets, position_limits, self._penalties(PLAN.searched_root)
             )
         except KeyboardInterrupt:
             self.judge(raw)

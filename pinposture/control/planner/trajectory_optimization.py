@@ -230,7 +230,7 @@ DESCENTS = Descents()
 
 def direct_path(
     objective: Objective,
-    start: Array,
+    start: ChainState,
     goal: Array,
     position_limits: Array,
     penalties: Penalties | None = None,
@@ -240,17 +240,17 @@ def direct_path(
 
     Args:
         objective: the objective of the path.
-        start: configuration at the start, (nq,).
+        start: the state at the start.
         goal: configuration at the end, (nq,).
         position_limits: smallest and largest joint positions, (2, nv) [rad or m].
         penalties: further terms; None: none.
         variant: number of the initial guess; others may lead to another path.
     """
     arm = objective.arm
-    change = objective.normalize(arm.difference(start, goal))
+    change = objective.normalize(arm.difference(start.q, goal))
     largest = float(np.abs(change).max(initial=0.0))
     if penalties is None and largest <= PATH.short_motion:
-        return JointPath(objective, start, np.array([np.zeros(arm.nv), objective.displacement(change)]))
+        return JointPath(objective, start.q, np.array([np.zeros(arm.nv), objective.displacement(change)]))
     waypoints = _Waypoints(objective, start, position_limits)
     bend = _bend(objective, variant) * largest
     if penalties is None:
@@ -262,17 +262,17 @@ def direct_path(
     pieces = len(relaxed) - 1
     finer = max(STAGING.refinement, STAGING.least_pieces // pieces) * pieces
     smooth = waypoints.refine(relaxed, finer) if pieces > 1 else relaxed
-    return JointPath(objective, start, objective.displacement(smooth))
+    return JointPath(objective, start.q, objective.displacement(smooth))
 
 
 def relax_path(
-    objective: Objective, start: Array, offsets: Array, position_limits: Array, penalties: Penalties
+    objective: Objective, start: ChainState, offsets: Array, position_limits: Array, penalties: Penalties
 ) -> tuple[JointPath, JointPath]:
     """Find the most direct path near a given one.
 
     Args:
         objective: the objective of the path.
-        start: configuration at the start, (nq,).
+        start: the state at the start.
         offsets: waypoints of the given path as displacements from there, (N + 1, nv) [rad or m].
         position_limits: smallest and largest joint positions, (2, nv) [rad or m].
         penalties: further terms.
@@ -304,7 +304,7 @@ def relax_path(
     if descent is DESCENTS.fine and not fine.is_clear(relaxed):
         relaxed = x
     smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
-    first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, relaxed))
+    first, second = (JointPath(objective, start.q, objective.displacement(x)) for x in (smooth, relaxed))
     return first, second
 
 
@@ -313,22 +313,20 @@ class _Waypoints:
 
     Attributes:
         objective: the objective of the path.
-        start: configuration at the start, (nq,).
+        start: the state at the start.
         positions: joint positions there, (nv,) [rad or m].
         weight: mu^2 [m^2].
         within: smallest and largest displacement, 2 x (n,).
     """
 
-    def __init__(self, objective: Objective, start: Array, position_limits: Array) -> None:
+    def __init__(self, objective: Objective, start: ChainState, position_limits: Array) -> None:
         arm = objective.arm
         chain = objective.chain
         self.weight = objective.mu**2
         self.objective = objective
         self.start = start
-        self.positions = arm.difference(arm.origin, start)
-        lower, upper = (
-            (edge - self.positions)[objective.columns] / objective.units for edge in position_limits
-        )
+        self.positions = start.raw_positions
+        lower, upper = ((edge - self.positions)[chain.columns] / chain.units for edge in position_limits)
         # From a start outside its limits, the waypoints come back along the path.
         self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
         constants = arm.kinematics.constants
@@ -356,7 +354,7 @@ class _Waypoints:
         objective = self.objective
         s = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
         even_s = np.linspace(0.0, s[-1], pieces + 1)
-        x = offsets[:, objective.columns] / objective.units
+        x = offsets[:, objective.chain.columns] / objective.chain.units
         return self._clip(np.column_stack([np.interp(even_s, s, joint) for joint in x.T]))
 
     def relax(self, change: Array, bend: Array) -> Array:
@@ -385,7 +383,8 @@ class _Waypoints:
 
 def _bend(objective: Objective, variant: int) -> Array:
     """Return a sideways bend of the whole arm, (n,), different for each variant."""
-    along = (np.arange(len(objective.columns)) + 0.5) / len(objective.columns)
+    joints = len(objective.chain.columns)
+    along = (np.arange(joints) + 0.5) / joints
     size = STAGING.large_bend if variant else STAGING.small_bend
     sign = (-1.0) ** variant
     waves = 1 + variant // 2
@@ -433,7 +432,7 @@ class _PathRelaxation:
         self._waypoints = waypoints
         self._penalties = penalties
         self._objective = waypoints.objective
-        self._start = waypoints.start
+        self._start = waypoints.start.q
         self._positions = waypoints.positions
         self._weight = waypoints.weight
         self._lower, self._upper = waypoints.within
@@ -563,7 +562,7 @@ class _PathRelaxation:
                 rows.append(avoidance.missing_room(state, self._penalties.clearance_root))
                 waypoints.append(i)
         if not rows:
-            n = len(self._objective.columns)
+            n = len(self._objective.chain.columns)
             return PathRows(np.zeros((0, n)), np.zeros(0), np.zeros(0, dtype=np.int64))
         return PathRows(
             matrix=np.ascontiguousarray(np.concatenate([part.matrix for part in rows])),

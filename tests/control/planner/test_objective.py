@@ -48,11 +48,15 @@ def test_errors_and_their_derivative(name: str, seed: int | None, relative_posit
     np.testing.assert_allclose(
         linear.errors, errors_by_hand(state, target, relative_position_weight), atol=1e-14
     )
-    slope = derivative(state, lambda at: -objective.rows(at).errors)[:, objective.columns] * objective.units
+    slope = (
+        derivative(state, lambda at: -objective.rows(at).errors)[:, objective.chain.columns]
+        * objective.chain.units
+    )
     np.testing.assert_allclose(linear.matrix, slope, atol=1e-8)
     assert objective.cost(state) == pytest.approx(0.5 * float(linear.errors @ linear.errors))
     gradient = (
-        derivative(state, lambda at: np.array([objective.cost(at)]))[0, objective.columns] * objective.units
+        derivative(state, lambda at: np.array([objective.cost(at)]))[0, objective.chain.columns]
+        * objective.chain.units
     )
     np.testing.assert_allclose(gradient, -linear.matrix.T @ linear.errors, atol=1e-8)
 
@@ -72,7 +76,10 @@ def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
     np.testing.assert_allclose(
         linear.errors[len(alone.errors) :][: arm.dimension], 3.0 * 0.01 * np.eye(arm.dimension)[0], atol=1e-12
     )
-    slope = derivative(state, lambda at: -objective.rows(at).errors)[:, objective.columns] * objective.units
+    slope = (
+        derivative(state, lambda at: -objective.rows(at).errors)[:, objective.chain.columns]
+        * objective.chain.units
+    )
     np.testing.assert_allclose(linear.matrix, slope, atol=1e-7)
 
 
@@ -82,7 +89,7 @@ def test_strict_tasks_are_listed_by_themselves() -> None:
     first = EndEffector(position=np.ones(3), weight=1.0, priority=True)
     objective = Objective(arm, apart(arm, 1), (JointPosture(q=arm.neutral()), first))
     strict = objective.task_rows(state, priority=True)
-    moves = state.jacobians[-1][:, objective.columns] * objective.units
+    moves = state.jacobians[-1][:, objective.chain.columns] * objective.chain.units
     share = np.linalg.norm(strict.errors) / np.linalg.norm(np.ones(3) - state.points[-1])
     np.testing.assert_allclose(strict.errors, share * (np.ones(3) - state.points[-1]))
     np.testing.assert_allclose(strict.matrix, share * moves)
@@ -96,7 +103,7 @@ def test_a_step_and_its_displacement_are_the_same_thing(name: str) -> None:
     arm = arm_called(name)
     state = state_of(name, 0)
     objective = Objective(arm, target_of(arm))
-    x = np.random.default_rng(0).normal(size=len(objective.columns))
+    x = np.random.default_rng(0).normal(size=len(objective.chain.columns))
     dq = objective.displacement(x)
     np.testing.assert_allclose(objective.normalize(dq), x, rtol=1e-14)
     np.testing.assert_array_equal(objective.state_after(state, x).q, arm.integrate(state.q, dq))
@@ -110,4 +117,4 @@ def test_joints_without_room_stay_out() -> None:
     arm = pp.Arm.from_modules([limits, still, limits])
     objective = Objective(arm, pp.Target.from_points(arm, arm.at(arm.straight()).points))
     free = arm.limits.upper > arm.limits.lower
-    np.testing.assert_array_equal(objective.columns, np.flatnonzero(free))
+    np.testing.assert_array_equal(objective.chain.columns, np.flatnonzero(free))

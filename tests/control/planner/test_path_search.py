@@ -158,7 +158,7 @@ def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None
     objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
     avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
     penalties = Penalties(None, avoidance, PLAN.searched_root, MARGIN)
-    _, relaxed = relax_path(objective, state.q, found.offsets, bounds.position_limits, penalties)
+    _, relaxed = relax_path(objective, state, found.offsets, bounds.position_limits, penalties)
     assert relaxed.length < 0.8 * JointPath(objective, start, found.offsets).length
     assert smallest_distance(scene, relaxed.configurations) > MARGIN - 1e-3
 

@@ -169,13 +169,14 @@ def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
 @pytest.mark.parametrize("speed", [0.0, 0.005, -0.01])
 def test_an_arm_that_moves_along_a_new_way_is_taken_to_be_under_way(speed: float) -> None:
     path = path_of(one(), one().neutral(), np.linspace(0.0, 1.0, 51)[:, None])
-    timed = retime(path, pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0))
+    limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0)
     # Rows are 0.02 rad apart.
-    assert PathProgress.begin(timed, np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
-    assert PathProgress.begin(timed, None) == PathProgress(timed, timed.path.objective)
-    free = retime(path, pp.Limits(step=0.1))
-    assert free.profile is None
-    assert PathProgress.begin(free, np.array([speed])) == PathProgress(free, free.path.objective)
+    begun = PathProgress.begin(path, limits, np.array([speed]))
+    assert begun.speed == pytest.approx(max(speed, 0.0) / 0.02)
+    assert PathProgress.begin(path, limits, None).speed == 0.0
+    free = PathProgress.begin(path, pp.Limits(step=0.1), np.array([speed]))
+    assert free.timed.profile is None
+    assert free.speed == 0.0
 
 
 def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:

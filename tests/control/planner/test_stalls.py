@@ -199,7 +199,7 @@ def test_free_steps_do_not_make_up_for_steps_that_are_held_back() -> None:
     """An arm that swings to and fro takes such steps, too; only a share of the path is progress."""
     arm = arm_called("planar")
     path = pp.plan(arm.at(arm.straight()), pp.Target.from_configuration(arm, np.full(arm.nv, 0.2)))
-    progress = PathProgress.begin(pp.retime(path, pp.Limits(step=0.05)))
+    progress = PathProgress.begin(path, pp.Limits(step=0.05), None)
     share = FOLLOWING.progress_share * path.end
     progress = progress.moved_to(0.4 * share, travel=0.05, held_back=True)
     progress = progress.moved_to(0.8 * share, travel=0.05, held_back=False)

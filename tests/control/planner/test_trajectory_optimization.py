@@ -45,7 +45,7 @@ def objective_of(arm: pp.Arm, goal: np.ndarray, mu: float = MU) -> Objective:
 
 def way(arm: pp.Arm, start: np.ndarray, goal: np.ndarray, mu: float = MU, **options: object) -> JointPath:
     position_limits = np.array([arm.limits.lower, arm.limits.upper])
-    return direct_path(objective_of(arm, goal, mu), start, goal, position_limits, **options)
+    return direct_path(objective_of(arm, goal, mu), arm.chain_at(start), goal, position_limits, **options)
 
 
 def energy(arm: pp.Arm, start: np.ndarray, offsets: np.ndarray, mu: float) -> float:
@@ -242,7 +242,7 @@ def test_a_given_path_is_relaxed_in_few_pieces_and_then_in_more(
 
     monkeypatch.setattr(kernels, "step_waypoints", counted)
     objective = objective_of(two, goal)
-    smooth, found = relax_path(objective, start, detour, position_limits, Penalties())
+    smooth, found = relax_path(objective, two.chain_at(start), detour, position_limits, Penalties())
     assert counts == sorted(counts)
     assert 0 < counts.count(32) <= DESCENTS.coarse.steps
     assert 0 < counts.count(48) <= DESCENTS.fine.steps
