@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from pinposture._validation import LARGEST_COORDINATE
 from pinposture.arm import Arm
+from pinposture.control import Limits
 from pinposture.errors import PostureError, did_you_mean, enumerated
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 
 
-class OtherDrives(Protocol):
-    """What is measured and commanded in place of the joints of `Arm.drives`: `CarriedDrives`, `Actuators`."""
+class Drives(Protocol):
+    """Drives that are measured and commanded in place of `Arm.drives`: `CarriedDrives` or `Actuators`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -27,6 +28,9 @@ class OtherDrives(Protocol):
 
     def measured(self, positions: Mapping[str, float]) -> dict[str, float]:
         """Return the positions of `Arm.drives` for theirs, by name; raise a `PostureError` if none fit."""
+
+    def limits(self, limits: Limits) -> Limits:
+        """Return limits of the arm within which they keep theirs."""
 
 
 class JointReading(NamedTuple):
@@ -94,16 +98,16 @@ class JointReadings:
     Args:
         arm: the arm; joints are those that its drives move (`Arm.drives`).
         max_age: age above which a position does not count [s]; also how far stamps may be in the future.
-        others: what is measured in place of these joints; efforts are then not known. None: they are.
+        drives: what is measured in place of these joints; efforts are then not known. None: they are.
     """
 
-    def __init__(self, arm: Arm, max_age: float, others: OtherDrives | None = None) -> None:
+    def __init__(self, arm: Arm, max_age: float, drives: Drives | None = None) -> None:
         self.max_age = max_age
         self.refused = 0
         self._arm = arm
-        self._drives = others
-        self._names = arm.drives.names if others is None else others.names
-        self._others: set[str] = set()
+        self._drives = drives
+        self._names = arm.drives.names if drives is None else drives.names
+        self._unknown: set[str] = set()
         self.forget()
 
     def forget(self) -> None:
@@ -131,7 +135,7 @@ class JointReadings:
             if name in self._names:
                 self._readings[name] = JointReading(float(position), float(effort), stamp)
             else:
-                self._others.add(name)
+                self._unknown.add(name)
         return ""
 
     def _fault_of(self, message: Any, now: int) -> str:
@@ -185,9 +189,9 @@ class JointReadings:
     def _describe_missing(self, missing: list[str]) -> str:
         if self._fault:
             return self._fault
-        if not (self._readings or self._others):
+        if not (self._readings or self._unknown):
             return "no joint states yet"
-        hints = [f"{name!r}{did_you_mean(name, sorted(self._others))}" for name in missing]
+        hints = [f"{name!r}{did_you_mean(name, sorted(self._unknown))}" for name in missing]
         return f"joint states lack {enumerated(hints)}"
 
 

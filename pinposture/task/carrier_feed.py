@@ -510,6 +510,10 @@ class CarriedDrives:
             **{name: positions[name] for name in self._arm.drives.names[1:]},
         }
 
+    def limits(self, limits: Limits) -> Limits:
+        """Return limits of the arm within which the robot keeps its own; see `CarrierFeed.limits`."""
+        return self._feed.limits(self._arm, limits)
+
 
 def _require_mounted(feed: CarrierFeed, arm: Arm) -> None:
     """Require an arm whose first joint is a feed, at the flange of a robot."""
