@@ -43,7 +43,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 229,  # 170
-    "definitions": 5483,
+    "definitions": 5477,
     "constants": 400,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
@@ -61,15 +61,15 @@ CEILINGS = {
     "finders of a goal": 2,  # 1
     "forms of Algorithm 1": 1,  # 1
     "chain descriptions": 1,  # 1
-    "files of a step": 24,  # 12
+    "files of a step": 22,  # 12
     "files of a task": 79,  # 40
     "files of a drag": 44,  # 15
-    "calls of the first step": 181,  # 140
-    "switches between files of the first step": 84,  # 90
+    "calls of the first step": 165,  # 140
+    "switches between files of the first step": 77,  # 90
     "calls of the second step": 40,  # 50
     "calls of the second step in a scene": 71,  # 80
-    "calls of Task.load": 2086,  # 2500
-    "calls of a cycle of perform": 93,  # 80
+    "calls of Task.load": 2083,  # 2500
+    "calls of a cycle of perform": 90,  # 80
 }
 """The most that there may be of each."""
 

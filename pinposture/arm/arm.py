@@ -521,7 +521,7 @@ class Arm(ConfigurationSpace):
     @cached_property
     def dimension(self) -> int:
         """2 if every joint axis is parallel (a planar arm), else 3."""
-        return len(self.plane)
+        return len(self.chain.plane)
 
     @cached_property
     def length(self) -> float:

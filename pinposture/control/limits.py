@@ -17,7 +17,6 @@ from pinposture._validation import (
     as_floats,
     finite_vector,
     is_usable,
-    require_instance,
 )
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.arm import arm_of, kept
@@ -597,11 +596,12 @@ class Limits(Declared):
 
     def for_arm(self, arm: Arm) -> JointBounds:
         """Return the bounds for the joints of an arm, cached with the arm."""
-        known: dict[object, JointBounds] | None = arm.cache.get(JointBounds) if isinstance(arm, Arm) else None
-        bounds = None if known is None else known.get(self._key)
+        if not isinstance(arm, Arm):
+            raise InvalidValue("arm", arm, "an Arm")
+        known: dict[object, JointBounds] = arm.cache.get(JointBounds, {})
+        bounds = known.get(self._key)
         if bounds is not None:  # as in nearly every call, of which a step makes several
             return bounds
-        require_instance("arm", arm, Arm, "an Arm")
         return kept(arm, JointBounds, self._key, partial(self._bounds_of, arm))
 
     def _bounds_of(self, arm: Arm) -> JointBounds:

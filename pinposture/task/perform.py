@@ -423,7 +423,7 @@ class _Performance:
         return Trajectory(
             run=run,
             targets=np.array([target.points for target in self._targets]),
-            target_mask=np.array([target.has_target for target in self._targets]),
+            target_mask=np.array([target.weights for target in self._targets]) > 0.0,
             plan_time=self.guide.time(s),
             start_index=len(s) - 1 if self._start_index is None else self._start_index,
             planned=float(self.guide.times[-1]),

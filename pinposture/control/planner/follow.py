@@ -307,8 +307,8 @@ class PathProgress(NamedTuple):
         path: JointPath,
         limits: Limits,
         previous: Array | None,
-        max_rate: float | Array = inf,
         effort: bool = False,
+        max_rate: float | Array = inf,
     ) -> PathProgress:
         """Return the progress at the start of a path, which is timed from the speed of the arm on.
 
@@ -316,8 +316,8 @@ class PathProgress(NamedTuple):
             path: the path.
             limits: the limits of each step.
             previous: the previous step, (nv,) [rad or m]; None: the arm was at rest.
-            max_rate: as for `retime`.
-            effort: likewise.
+            effort: as for `retime`.
+            max_rate: likewise.
         """
         speed = 0.0
         if previous is not None:
@@ -399,7 +399,7 @@ def follow(
     elif previous is None or path.profile is None:
         progress = PathProgress(path, objective)
     else:
-        progress = PathProgress.begin(path.path, path.limits, previous, path.max_rate, path.effort)
+        progress = PathProgress.begin(path.path, path.limits, previous, path.effort, path.max_rate)
     bounds = limits.for_arm(state.arm)
     avoidance = Avoidance.of(progress.path.scene, objective, bounds, previous)
     step = fast_step(progress, state, bounds, previous) if avoidance is None else None
@@ -526,7 +526,7 @@ def _steps_ahead(
     count = 1 if timed.scheduled else FOLLOWING.steps_ahead
     if expected is None:
         expected = state.raw_positions
-    elif not progress.is_expected(state):
+    elif not (timed.scheduled or progress.is_expected(state)):
         count = 1
     ahead = NextSteps(
         s=np.empty(count),

@@ -145,8 +145,24 @@ class Geodesic:
         """Return this controller for another offset of the measured arm."""
         return replace(self, offset=offset)
 
-    def objective(self, arm: Arm, target: Target) -> Objective:
-        """Return the objective of an arm: the target posture, the tasks and the constraints."""
+    def objective(self, arm: Arm, target: Target, known: Objective | None = None) -> Objective:
+        """Return the objective of an arm: the target posture, the tasks and the constraints.
+
+        Args:
+            arm: the arm.
+            target: the target posture.
+            known: the objective of the step before, which is returned if it is the same; None: none.
+        """
+        if (
+            known is not None
+            and known.arm is arm
+            and known.target is target
+            and known.tasks == self.tasks
+            and known.constraints is self.constraints
+            and known.relative_position_weight == self.relative_position_weight
+            and known.joint_weight == self.joint_weight
+        ):
+            return known
         return Objective(
             arm,
             target,
@@ -212,12 +228,14 @@ class Geodesic:
         if avoidance is None:
             return updated
         path = shortcut(updated.path, updated.s, now.state, now.bounds, avoidance, prompt=not self.plans)
-        return updated if path is None else now.begin(path, effort)
+        if path is None:
+            return updated
+        return PathProgress.begin(path, now.limits, now.previous, effort)
 
     def _renewed(self, progress: PathProgress) -> PathProgress:
         """Return the progress with the tasks, weights and constraints of this controller."""
         known = progress.objective
-        objective = self._objective(known.arm, known.target, known)
+        objective = self.objective(known.arm, known.target, known)
         return progress if objective is known else progress._replace(objective=objective, ahead=None)
 
     def _go_on(self, now: _Situation, progress: PathProgress) -> PathProgress:
@@ -232,7 +250,7 @@ class Geodesic:
             cut = not (was_blocked or progress.arrived or self._is_clear_of_maps(now, progress))
         if changes and self._has_free_goal(now, progress):
             path = self._find_path(self._problem(progress.objective, now.state, now.bounds))
-            return now.begin(path, progress.timed.effort)
+            return PathProgress.begin(path, now.limits, now.previous, progress.timed.effort)
         if not cut and (progress.idle_travel < GEODESIC.most_idle_travel or progress.arrived):
             return _within(progress, now)
         attempt = progress.path.attempt + 1
@@ -243,7 +261,7 @@ class Geodesic:
         problem = self._problem(progress.objective, now.state, now.bounds)
         rest = None if progress.path.blocked_by else _rest(progress, now.state)
         path = self._find_path(problem, attempt, rest)
-        return now.begin(path, progress.timed.effort)
+        return PathProgress.begin(path, now.limits, now.previous, progress.timed.effort)
 
     def _has_free_goal(self, now: _Situation, progress: PathProgress) -> bool:
         """Whether the path leads elsewhere than to the target posture, which the arm can take by now."""
@@ -292,27 +310,16 @@ class Geodesic:
         problem = self._problem(objective, now.state, now.bounds)
         fast = problem.avoidance is None and not objective.tasks  # wherever the target has gone
         if progress is None or not (fast or is_small_change(progress.objective, objective)):
-            return now.begin(self._find_path(problem), effort)
+            return PathProgress.begin(self._find_path(problem), now.limits, now.previous, effort)
         idle = progress.idle_travel >= GEODESIC.most_idle_travel
         s = np.inf if progress.arrived or progress.path.attempt or idle else progress.s
         former = progress.path
         if former.objective is not progress.objective:
             former = former.revised(objective=progress.objective)
         path, bend = replan(former, s, progress.bend, problem, prompt=not self.plans)
-        return now.begin(path, effort) if bend is None else progress.deformed(path, bend, now.limits)
-
-    def _objective(self, arm: Arm, target: Target, known: Objective | None) -> Objective:
-        """Return the objective for a target: a known one if that has it, or differs from it in the target."""
-        if (
-            known is None
-            or known.arm is not arm
-            or known.tasks != self.tasks
-            or known.constraints is not self.constraints
-            or known.relative_position_weight != self.relative_position_weight
-            or known.joint_weight != self.joint_weight
-        ):
-            return self.objective(arm, target)
-        return known if known.target is target else replace(known, target=target)
+        if bend is None:
+            return PathProgress.begin(path, now.limits, now.previous, effort)
+        return progress.deformed(path, bend, now.limits)
 
     def keep_clear(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -400,7 +407,7 @@ class _Situation:
         """The objective of the controller for the target."""
         self.target.check_weights()
         known = None if self.before is None else self.before.objective
-        return self.controller._objective(self.state.arm, self.target, known)
+        return self.controller.objective(self.state.arm, self.target, known)
 
     def avoidance(self, progress: PathProgress) -> Avoidance | None:
         """Return what steps on a path avoid; None if the limits of the joints are all that they keep."""
@@ -414,10 +421,6 @@ class _Situation:
                 )
             self._avoidance = progress, avoidance
         return self._avoidance[1]
-
-    def begin(self, path: JointPath, effort: bool) -> PathProgress:
-        """Return the progress of the arm at the start of a path; `effort` is as for `retime`."""
-        return PathProgress.begin(path, self.limits, self.previous, effort=effort)
 
     def held(self, step: Step | None) -> Step | None:
         """Return a step within torque limits, from which the arm can stop within them; None if it is not.
