@@ -30,7 +30,7 @@ from pinposture.ros2.clouds import CloudFrames, read_points
 from pinposture.ros2.diagnostics import CycleTimes, Occurrences, diagnostics
 from pinposture.ros2.failures import POLLING, Fallback, FallbackSearch, Locked, as_possible
 from pinposture.ros2.graph import latest_only, sensor_data
-from pinposture.ros2.joint_readings import Drives, JointMeasurement, JointReadings
+from pinposture.ros2.joint_readings import JointMeasurement, JointReadings, RobotDrives
 from pinposture.ros2.shape_readings import FAULTS, ShapeReadings, ShapeSensing
 from pinposture.schema import AS_GIVEN, CheckedBy, Declared, Duration, Length, declared, one_of
 from pinposture.sim import set_points
@@ -317,7 +317,7 @@ class Driver:
         self._connect(node)
 
     @cached_property
-    def _drives(self) -> Drives | None:
+    def _drives(self) -> RobotDrives | None:
         """What is measured and commanded in place of the joints of the arm; None: they are."""
         feed = self.settings.feed
         allowed = "a CarrierFeed, the Actuators of the arm, or None"

@@ -16,7 +16,7 @@ from pinposture.errors import PostureError, did_you_mean, enumerated
 from pinposture.motion.ros import NANOSECONDS, stamp_of
 
 
-class Drives(Protocol):
+class RobotDrives(Protocol):
     """Drives that are measured and commanded in place of `Arm.drives`: `CarriedDrives` or `Actuators`."""
 
     @property
@@ -101,7 +101,7 @@ class JointReadings:
         drives: what is measured in place of these joints; efforts are then not known. None: they are.
     """
 
-    def __init__(self, arm: Arm, max_age: float, drives: Drives | None = None) -> None:
+    def __init__(self, arm: Arm, max_age: float, drives: RobotDrives | None = None) -> None:
         self.max_age = max_age
         self.refused = 0
         self._arm = arm
