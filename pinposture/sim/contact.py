@@ -372,8 +372,8 @@ class ContactRecorder:
         # The first axis leads from the first shape to the other.
         axes = data.contact.frame[pressed].reshape(-1, 3, 3)
         forces = -np.einsum("ki,kij->kj", wrenches[pressed, :3], axes)
-        first, second = (self._velocities(data, shapes[:, side], points) for side in (0, 1))
-        moved = np.einsum("kij,kj->ki", axes, second - first)
+        velocities = self._velocities(data, shapes, points[:, None])
+        moved = np.einsum("kij,kj->ki", axes, velocities[:, 1] - velocities[:, 0])
         closing = np.maximum(0.0, -moved[:, 0]).tolist()
         sliding = np.hypot(moved[:, 1], moved[:, 2]).tolist()
         touching: dict[Pair, Touching] = {}
@@ -385,8 +385,12 @@ class ContactRecorder:
         return touching
 
     def _velocities(self, data: Any, shapes: NDArray[np.int32], points: Array) -> Array:
-        """Return the velocities of points of shapes, (k, 3) [m/s], world axes."""
+        """Return the velocities of points of shapes, (..., 3) [m/s], world axes."""
         bodies = self._model.geom_bodyid[shapes]
-        turning, moving = np.split(data.cvel[bodies], 2, axis=1)
+        twists = data.cvel[bodies]
+        turning = twists[..., :3]
         levers = points - data.subtree_com[self._model.body_rootid[bodies]]
-        return np.asarray(moving + np.cross(turning, levers))
+        ahead, back = (1, 2, 0), (2, 0, 1)  # as np.cross, which takes five times as long for a few points
+        turned = turning.take(ahead, -1) * levers.take(back, -1)
+        turned -= turning.take(back, -1) * levers.take(ahead, -1)
+        return np.asarray(twists[..., 3:] + turned)

@@ -214,6 +214,8 @@ class Plant:
         compensation = self._compensation  # it counts towards the limits
         own_positions = state[0][: self._joints]
         spring = self.model.gains.springs(set_point - own_positions) + damping * speed
+        if not self._coupled:
+            self._mujoco.mj_step1(self._model, data)  # what depends on the state alone, for all trials
         tried: set[tuple[float, ...]] = set()
         for trial in range(PLANT.trials):
             tried.add(tuple(self._at_limit.tolist()))
@@ -246,7 +248,13 @@ class Plant:
         self._at_limit = np.sign(self._torques) * (np.abs(self._torques) >= limits * (1.0 - 1e-9))
 
     def _integrate(self, state: list[Array] | None, torques: Array, damping: Array) -> None:
-        """Take a physics step with these torques minus damping times the final velocity."""
+        """Take a physics step with these torques minus damping times the final velocity.
+
+        Args:
+            state: the state in which the step began, if it is taken anew.
+            torques: torques of the servos [N m or N].
+            damping: their damping.
+        """
         data = self._data
         if state is not None:
             data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = state
@@ -255,7 +263,7 @@ class Plant:
             return
         data.ctrl[:] = torques[self._driven]
         self._model.actuator_biasprm[:, 2] = -damping[self._driven]
-        self._mujoco.mj_step(self._model, data)
+        self._mujoco.mj_step2(self._model, data)
 
     def _integrate_coupled(self, torques: Array, damping: Array) -> None:
         """Take a physics step of the independent joints; coupled joints follow.
