@@ -390,7 +390,9 @@ class ContactRecorder:
         twists = data.cvel[bodies]
         turning = twists[..., :3]
         levers = points - data.subtree_com[self._model.body_rootid[bodies]]
-        ahead, back = (1, 2, 0), (2, 0, 1)  # as np.cross, which takes five times as long for a few points
+        # As np.cross, which takes five times as long for a few points.
+        ahead = (1, 2, 0)
+        back = (2, 0, 1)
         turned = turning.take(ahead, -1) * levers.take(back, -1)
         turned -= turning.take(back, -1) * levers.take(ahead, -1)
         return np.asarray(twists[..., 3:] + turned)
