@@ -25,7 +25,7 @@ from pinposture._validation import (
 )
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
-from pinposture.control import Controller, Limits, controller_named
+from pinposture.control import Controller, Limits
 from pinposture.control.limits import require_limits
 from pinposture.errors import (
     ControllerError,
@@ -328,7 +328,7 @@ def track_many(
 
     from pinposture.motion.processes import Shared, adaptively_in_order, check_jobs
 
-    chosen, scene = in_scene(controller_named(controller), scene)
+    chosen, scene = in_scene(controller, scene)
     limits = require_limits(limits)
     require_function("progress", progress)
     if max_steps is not None:

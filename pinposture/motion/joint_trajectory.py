@@ -150,7 +150,8 @@ def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
     """
     require_instance("arm", arm, Arm, "an Arm")
     rows = finite_array("q", q, (None, arm.nq))
-    positions = np.array([arm.positions(arm.checked(row, f"q[{k}]")) for k, row in enumerate(rows)])
+    checked = [arm.checked(row, f"q[{k}]") for k, row in enumerate(rows)]
+    positions = np.array([arm.difference(arm.origin, row) for row in checked])
     for joint in list(arm.model.joints)[1:]:
         if joint.nv == 1 and joint.nq > 1:
             positions[:, joint.idx_v] = np.unwrap(positions[:, joint.idx_v])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.arm import state_at
 from pinposture.collision import CollisionModel, Scene
-from pinposture.control import Controller, Geodesic, Limits, Step
+from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.constraint import describe_violated, inequalities_of
 from pinposture.control.controller import Info, Memory, next_step
 from pinposture.control.limits import JerkFilter
@@ -374,8 +374,14 @@ def describe_binding_limits(arm: Arm, step: Step) -> str:
     return f"; held by {enumerated(held)}" if held else ""
 
 
-def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
-    """Return the controller with the scene, and the scene; warn if it does not avoid the obstacles."""
+def in_scene(controller: str | Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
+    """Return the controller with the scene, and the scene; warn if it does not avoid the obstacles.
+
+    Args:
+        controller: as for `track`.
+        scene: likewise.
+    """
+    controller = controller_named(controller)
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if isinstance(controller, Geodesic):

@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.arm.arm import check_range
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import describe_distance
-from pinposture.control import Controller, Geodesic, Limits, controller_named
+from pinposture.control import Controller, Geodesic, Limits
 from pinposture.control.controller import JointInterpolation
 from pinposture.control.limits import require_limits
 from pinposture.control.torque_limits import find_overload, require_held
@@ -151,7 +151,7 @@ def track(
         WeightUnknown: torque limits, and masses, or all limits of the arm, are not known.
         UnknownName: there is no controller of that name.
     """
-    controller, scene = in_scene(controller_named(controller), scene)
+    controller, scene = in_scene(controller, scene)
     limits = require_limits(limits)
     require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
     target.check_arm(arm)

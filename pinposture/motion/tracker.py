@@ -24,7 +24,7 @@ from pinposture._validation import (
 from pinposture.arm import Arm
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.collision.model import describe_distance
-from pinposture.control import Controller, Geodesic, GeodesicMemory, Limits, Step, controller_named
+from pinposture.control import Controller, Geodesic, GeodesicMemory, Limits, Step
 from pinposture.control.controller import Memory
 from pinposture.control.limits import cycle_of
 from pinposture.control.planner.avoidance import BRAKING_HARDER, describe_lost_margin
@@ -247,7 +247,7 @@ class Tracker:
         self._shared: tuple[Limits, Limits] | None = None
         self._drives = drives
         self._touch = None if touch is None else TouchDetector(arm, touch)
-        controller, self.scene = in_scene(controller_named(controller), scene)
+        controller, self.scene = in_scene(controller, scene)
         self._steps: DirectStep | PlannedStep
         if planning == "process" and deadline < inf and type(controller) is Geodesic:
             self._steps = PlannedStep(arm, controller)

@@ -221,6 +221,7 @@ class PlantModel:
         warnings: messages about what was corrected or left out.
         contact: how things touch; None: there is no contact. Behind the n joints, `model` then has those of
             free obstacles.
+        touchable: names of the obstacles that the arm may touch.
     """
 
     arm: Arm

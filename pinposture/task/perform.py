@@ -16,7 +16,7 @@ from pinposture._validation import make_read_only, require_function, require_ins
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
 from pinposture.collision import Scene
-from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
+from pinposture.control import Controller, Geodesic, Limits, Step
 from pinposture.control.limits import CYCLES, JerkFilter, cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
@@ -299,7 +299,7 @@ def perform(
     require_instance("reference", reference, Reference, "a Reference, as `keyframe_reference` returns it")
     require_function("progress", progress)
     arm = reference.arm
-    controller, scene = in_scene(controller_named(controller), scene)
+    controller, scene = in_scene(controller, scene)
     limits = Limits(step=None, dt=CYCLES.default) if limits is None else limits
     dt = cycle_of(limits)
     tolerance = CONVERGED * arm.length if tolerance is None else require_positive("tolerance", tolerance)

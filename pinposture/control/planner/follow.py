@@ -38,7 +38,7 @@ from pinposture.control.planner.damped_least_squares import (
 )
 from pinposture.control.planner.goal import find_positions_near
 from pinposture.control.planner.objective import OBJECTIVE, ChainSolver, LinearRows, Objective
-from pinposture.control.planner.path import PATH, JointPath, TimedPath, timed_again
+from pinposture.control.planner.path import PATH, JointPath, TimedPath, time_path
 from pinposture.control.tasks import Displaced, errors_of
 from pinposture.control.torque_limits import StepTorques
 from pinposture.errors import InvalidValue
@@ -159,7 +159,7 @@ class PathProgress(NamedTuple):
         objective: what the steps pursue; that of the path, until the target moves along it.
         s: position of the arm on it, in waypoints.
         speed: motion along it in the last step, in waypoints.
-        progress_place: position at which the arm last made progress.
+        progress_s: position at which the arm last made progress.
         idle_travel: joint travel that the limits have allowed in steps held back since then [rad].
         arrived: whether the arm is at the end; the remaining errors are then reduced directly.
         damping: damping factor of these steps.
@@ -273,7 +273,7 @@ class PathProgress(NamedTuple):
 
     def retimed(self, path: JointPath, limits: Limits, initial_speed: float = 0.0) -> PathProgress:
         """Return this progress on another path with as many waypoints, or within other limits."""
-        timed = timed_again(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
+        timed = time_path(path, limits, self.timed.max_rate, initial_speed, self.timed.effort)
         return self._replace(timed=timed, ahead=None)
 
     def deformed(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
@@ -325,7 +325,7 @@ class PathProgress(NamedTuple):
             squares = float(ahead @ ahead)
             speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
             speed = min(speed, path.end)
-        timed = timed_again(path, limits, max_rate, speed, effort)
+        timed = time_path(path, limits, max_rate, speed, effort)
         return cls(timed, path.objective, speed=0.0 if timed.profile is None else speed)
 
 

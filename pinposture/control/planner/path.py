@@ -584,10 +584,10 @@ def retime(
     if effort:
         path.arm.require_effort()
         path.arm.require_masses()
-    return timed_again(path, limits, max_rate, initial_speed, effort, strict=effort)
+    return time_path(path, limits, max_rate, initial_speed, effort, strict=effort)
 
 
-def timed_again(
+def time_path(
     path: JointPath,
     limits: Limits,
     max_rate: float | Array = inf,
