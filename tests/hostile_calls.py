@@ -296,6 +296,8 @@ def examples() -> dict[str, Any]:
         "CarrierFeed.q": np.array([0.1, 0.3, 0.2, -0.4, 0.2, 0.5]),
         "CarrierFeed.stroke": 0.001,
         "CarrierFeed.at.s": 0.0005,
+        "CarrierFeed.offsets.s": 0.0005,
+        "CarrierFeed.rates.s": 0.0005,
         "CarrierFeed.joint_trajectory.trajectory": a_trajectory_on_a_slide(),
         "CarrierFeed.find.q": np.array([0.1, 0.3, 0.2, -0.4, 0.2, 0.5]),
         "Steering.arm": a_fed_arm(),

@@ -9,7 +9,6 @@ import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,8 +35,10 @@ if TYPE_CHECKING:
     from pinposture.arm import Arm
     from pinposture.collision import Scene
     from pinposture.control import Limits
+    from pinposture.motion import Actuators
     from pinposture.operate import Operation, SimulatedArm
     from pinposture.operate.record import Replay
+    from pinposture.task import CarrierFeed
 
 SIMULATION = Panel("The simulated arm")
 OPERATED = Panel("The operation")
@@ -96,6 +97,7 @@ class OperationOptions:
     "pinposture operate arm.urdf --scene scene.toml",
     "pinposture operate arm.urdf --scene scene.toml --camera --frequency 10",
     "pinposture operate arm.urdf --task task.toml",
+    "pinposture operate arm.urdf --feed feed.toml",
     "pinposture operate arm.urdf --replay operation-20260102-030405.mcap",
     "pinposture operate arm.urdf --ros --velocity 0.5",
     "pinposture operate arm.urdf --ros -- --ros-args -r joint_states:=/arm/joint_states",
@@ -123,6 +125,7 @@ def run(
     with hold_interrupt():
         from pinposture.operate import Control, Operation
         from pinposture.operate.ways import read_steps
+        from pinposture.task import CarrierFeed
 
     refuse_given({"--dt": limit_options.dt}, "nothing; the rate tells the cycle time")
     arm = arm_options.read(urdf)
@@ -131,31 +134,22 @@ def run(
         replay(arm, operation_options.replay, scene, page_options)
         return
     limits = read_limits(arm, limit_options, 1.0 / RATE)
+    feed = read_feed(operation_options.feed, arm)
+    carrier = feed if isinstance(feed, CarrierFeed) else None
+    limits = limits if carrier is None else carrier.limits(arm, limits)
     sys.setswitchinterval(0.001)  # the page keeps the loop waiting for so long, several times a cycle [s]
     operation = Operation(arm, limits, Control(), operation_options.speed)
     if operation_options.task is not None:
         operation.steps += read_steps(arm, operation_options.task)
     compile_missing()
     with recorded(operation, operation_options.record):
-        _operate(operation, limits, scene, ros_args, operation_options, page_options)
-
-
-def _operate(
-    operation: Operation,
-    limits: Limits,
-    scene: Scene,
-    ros_args: list[str] | None,
-    operation_options: OperationOptions,
-    page_options: PageOptions,
-) -> None:
-    """Operate an arm until Ctrl-C."""
-    if operation_options.ros:
-        options = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
-        refuse_given(options, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
-        _drive(operation, limits, scene, ros_args, page_options, operation_options.feed)
-    else:
-        refuse_given({"-- ARGUMENTS": ros_args, "--feed": operation_options.feed}, "nothing without --ros")
-        _simulate(operation, limits, scene, operation_options.simulated_arm, page_options)
+        if operation_options.ros:
+            options = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
+            refuse_given(options, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
+            _drive(operation, limits, scene, ros_args, page_options, feed)
+        else:
+            refuse_given({"-- ARGUMENTS": ros_args}, "nothing without --ros")
+            _simulate(operation, limits, scene, operation_options.simulated_arm, page_options, carrier)
 
 
 @contextmanager
@@ -206,13 +200,16 @@ def ending() -> Iterator[Event]:
 
 @contextmanager
 def _page(
-    operation: Operation | Replay, options: PageOptions, simulated: SimulatedArm | None = None
+    operation: Operation | Replay,
+    options: PageOptions,
+    simulated: SimulatedArm | None = None,
+    carrier: CarrierFeed | None = None,
 ) -> Iterator[None]:
     """Show a page while something else is done."""
     from pinposture.editor.ui.server import is_loopback
     from pinposture.operate import LivePage
 
-    page = LivePage(operation, options.host, options.port, simulated)
+    page = LivePage(operation, options.host, options.port, simulated, carrier)
     try:
         page.start()
         typer.echo(page.url)
@@ -236,26 +233,33 @@ def _drive(
     scene: Scene,
     ros_args: list[str] | None,
     options: PageOptions,
-    feed: Path | None,
+    feed: CarrierFeed | Actuators | None,
 ) -> None:
     """Drive a robot on ROS 2."""
     with hold_interrupt():
         from pinposture.ros2 import Driver, DriverSettings, open_node
+        from pinposture.task import CarrierFeed
 
     with open_node("pinposture", ros_args or ()) as node:
         with hold_interrupt():
-            settings = DriverSettings(rate=RATE, feed=read_feed(feed, operation.arm))
+            settings = DriverSettings(rate=RATE, feed=feed)
             driver = Driver(node, operation.arm, settings, limits=limits, scene=scene)
             operation.goes_on = True
             driver.follow(operation)
-        with _page(operation, options):
+        carrier = feed if isinstance(feed, CarrierFeed) else None
+        with _page(operation, options, carrier=carrier):
             spin_node(node, driver)
         driver.close()
         print_note(f"{driver.times.cycles} cycles, {driver.times.missed} missed; the arm holds")
 
 
 def _simulate(
-    operation: Operation, limits: Limits, scene: Scene, robot: SimulatedArmOptions, options: PageOptions
+    operation: Operation,
+    limits: Limits,
+    scene: Scene,
+    robot: SimulatedArmOptions,
+    options: PageOptions,
+    carrier: CarrierFeed | None,
 ) -> None:
     """Simulate the arm."""
     from pinposture.arm.mjcf import load_mujoco
@@ -277,9 +281,10 @@ def _simulate(
             camera=DepthCamera() if robot.camera else None,
             q0=q0,
             deadline=0.5 / RATE,
+            feed=carrier,
         )
     try:
-        with ending() as stop, _page(operation, options, simulated):
+        with ending() as stop, _page(operation, options, simulated, carrier):
             simulated.run(stop)
     finally:
         simulated.close()

@@ -31,7 +31,9 @@ class Constraint(Protocol):
     All rows are in metres, like the distances from obstacles, so that they can be compared: multiply an angle
     by the length of what it turns.
 
-    A class attribute or field `name` is used in messages; without one, the name of the class.
+    A class attribute or field `name` is used in messages; without one, the name of the class. Plans and stops
+    are checked at many states. A second method, `violations(start, offsets)`, may tell sooner than `rows` by
+    how much the constraint is violated at states that are displaced from one, (s, nv) [rad or m]: (s,) [m].
     """
 
     def rows(self, state: ArmState) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
@@ -85,7 +87,7 @@ def inequalities_of(constraints: Sequence[Constraint], state: ArmState) -> Inequ
     rooms = [np.zeros(0)]
     names: list[str] = []
     for constraint in constraints:
-        name = str(getattr(constraint, "name", type(constraint).__name__))
+        name = _name_of(constraint)
         matrix, lower, upper = _rows(constraint, name, state)
         for sign, bound in ((1.0, -lower), (-1.0, upper)):
             finite = np.isfinite(bound)
@@ -93,6 +95,34 @@ def inequalities_of(constraints: Sequence[Constraint], state: ArmState) -> Inequ
             rooms.append(bound[finite])
             names += [name] * int(finite.sum())
     return Inequalities(np.concatenate(matrices), np.concatenate(rooms), tuple(names))
+
+
+def violations_along(constraints: Sequence[Constraint], start: ArmState, offsets: Array) -> Array:
+    """Return the largest violation of constraints at states displaced from one, (s, nv), (s,) [m].
+
+    Raises:
+        InvalidValue: a constraint does not return what it should.
+        ControllerError: it raised an exception that is no `PostureError`.
+    """
+    violations = np.zeros(len(offsets))
+    slow: list[Constraint] = []
+    for constraint in constraints:
+        fast = getattr(constraint, "violations", None)
+        if fast is None:
+            slow.append(constraint)
+            continue
+        name = _name_of(constraint)
+        told = call_own(name, "violations(start, offsets)", fast, start, offsets)
+        told = finite_array(f"{name}.violations(start, offsets)", told, (len(offsets),))
+        violations = np.maximum(violations, told)
+    if slow:
+        others = [inequalities_of(slow, start.moved(offset)).violation for offset in offsets]
+        violations = np.maximum(violations, others)
+    return violations
+
+
+def _name_of(constraint: Constraint) -> str:
+    return str(getattr(constraint, "name", type(constraint).__name__))
 
 
 def describe_violated(inequalities: Inequalities, length: float) -> tuple[str, ...]:

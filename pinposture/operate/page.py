@@ -41,6 +41,7 @@ from pinposture.operate.operation import Operation, Shown
 from pinposture.operate.record import Replay
 from pinposture.operate.simulated import SimulatedArm
 from pinposture.operate.ways import WAYS, CurveAlong
+from pinposture.task.carrier_feed import CarrierClearance, CarrierFeed
 from pinposture.units import length_text
 from pinposture.viz.drawing import link_radius, shown_obstacles
 from pinposture.viz.palette import THEME
@@ -97,8 +98,11 @@ class Margin(NamedTuple):
     text: str
 
 
-def margins_of(arm: Arm, q: Array, scene: Scene) -> list[Margin]:
-    """Return the margins of an arm at a configuration (nq,) in a scene: joint limits, clearance, torques."""
+def margins_of(arm: Arm, q: Array, scene: Scene, beside: CarrierClearance | None = None) -> list[Margin]:
+    """Return the margins of an arm at a configuration (nq,) in a scene: joint limits, clearance, torques.
+
+    The clearance of the robot that carries it is told as well, if it is given as `beside`.
+    """
     margins = []
     turning = arm.columns[~arm.slides[arm.columns]]
     if len(turning):
@@ -106,12 +110,14 @@ def margins_of(arm: Arm, q: Array, scene: Scene) -> list[Margin]:
         joint = int(room.argmin())
         text = f"{arm.joint_names[turning[joint]]} has {100.0 * room[joint]:.0f} % of its half range left"
         margins.append(Margin("joint limits", float(room[joint]), text))
-    closest = CollisionModel(arm, scene).minimum(q)
-    if closest.pair is not None:
-        ample = LIVE_PAGE.ample * arm.length
-        share = (closest.distance - scene.margin) / ample
-        text = f"{describe_distance(closest.pair, closest.distance)}, margin {length_text(scene.margin)}"
-        margins.append(Margin("clearance", min(max(share, 0.0), 1.0), text))
+    nearest = {"clearance": CollisionModel(arm, scene).minimum(q)}
+    if beside is not None:
+        nearest["robot"] = beside.closest(q)
+    for name, closest in nearest.items():
+        if closest.pair is not None:
+            share = (closest.distance - scene.margin) / (LIVE_PAGE.ample * arm.length)
+            text = f"{describe_distance(closest.pair, closest.distance)}, margin {length_text(scene.margin)}"
+            margins.append(Margin(name, min(max(share, 0.0), 1.0), text))
     load = arm.at(q).most_loaded()
     if load is not None:
         margins.append(Margin("torque", max(0.0, 1.0 - load.share), str(load)))
@@ -152,12 +158,13 @@ def status_html(operation: Operation | Replay, shown: Shown, age: float) -> str:
     return text + framed_html("status", STATUS_COLORS[kind], escape(head), escape(reason), below) + "</div>"
 
 
-def viewpoint(arm: Arm, direction: Array) -> Viewpoint:
+def viewpoint(arm: Arm, direction: Array, feed: CarrierFeed | None = None) -> Viewpoint:
     """Return a camera that has an arm in sight, neutral, straight, and straight at both ends of its feed.
 
     Args:
         arm: the arm.
         direction: from the arm to the camera, (3,).
+        feed: the robot that carries the arm, which is in sight as well; None: none does.
     """
     postures = [arm.neutral(), arm.straight()]
     column = int(arm.chain.columns[0])
@@ -168,6 +175,9 @@ def viewpoint(arm: Arm, direction: Array) -> Viewpoint:
                 positions[column] = limit
             postures.append(arm.configuration(positions))
     points = np.vstack([arm.chain.base, *(arm.at(q).points for q in postures)])
+    if feed is not None:
+        robot = feed.carrier
+        points = np.vstack([points, robot.chain.base, *(robot.at(q).points for q in feed.configurations)])
     return framing(points, 0.1 * arm.length, direction, PAGE.least_aspect, LIVE_PAGE.covered)
 
 
@@ -324,6 +334,7 @@ class LivePage:
         port: the port; another if it is taken.
         simulated: the arm if it is simulated: its camera is shown, and its joints can be made to fail; else
             None.
+        feed: the robot that carries the arm, which is shown where the feed is; None: none does.
 
     Raises:
         ViewerError: it cannot be served.
@@ -335,6 +346,7 @@ class LivePage:
         host: str = "127.0.0.1",
         port: int = 8080,
         simulated: SimulatedArm | None = None,
+        feed: CarrierFeed | None = None,
     ) -> None:
         self._operation = operation
         self._arm = arm = operation.arm
@@ -369,7 +381,7 @@ class LivePage:
         server.gui.set_panel_label("pinposture")
         server.gui.main_panel.dock_right()
         server.gui.main_panel.set_width(PAGE.controls_width)
-        self.view = viewpoint(arm, camera_direction(arm))
+        self.view = viewpoint(arm, camera_direction(arm), feed)
         set_stage(server, arm, self.view)
         self._status = server.gui.add_html("")
         self._bars = server.gui.add_html("")
@@ -379,6 +391,8 @@ class LivePage:
         self._image: Any = None
         if simulated is not None:
             self._add_failures(simulated)
+        self._beside = None if feed is None else CarrierClearance(feed, arm)
+        self._robot = None if feed is None else ArmDrawing(server, feed.carrier, "/robot", tint=THEME.base)
         self._measured = ArmDrawing(server, arm)
         self._ghost = ArmDrawing(server, arm, "/commanded", LIVE_PAGE.ghost, THEME.start)
         self._ghost.set_visible(False)
@@ -412,6 +426,7 @@ class LivePage:
         with self._server.atomic():
             if shown.measured is not None:
                 self._measured.move(shown.measured)
+                self._move_robot(shown.measured)
             if shown.commanded is not None:
                 self._ghost.set_visible(True)
                 self._ghost.move(shown.commanded)
@@ -427,6 +442,12 @@ class LivePage:
                 self._facts_at = now
                 self._show_facts(shown, now)
         self._server.flush()
+
+    def _move_robot(self, measured: Array) -> None:
+        """Show the robot where it carries the arm, of a measured configuration (nq,)."""
+        if self._beside is not None and self._robot is not None:
+            feed = self._beside.feed
+            self._robot.move(feed.at(np.clip(self._arm.positions(measured)[0], 0.0, feed.stroke)))
 
     def _add_failures(self, simulated: SimulatedArm) -> None:
         """Add what lets joints of a simulated arm fail."""
@@ -470,8 +491,11 @@ class LivePage:
     def _show_facts(self, shown: Shown, now: float) -> None:
         """Write the status, and the margins of the measured arm."""
         put(self._status, content=status_html(self._operation, shown, now - shown.time))
+        if self._beside is not None:
+            self._beside.scene = shown.scene
         if shown.measured is not None:
-            put(self._bars, content=bars_html(margins_of(self._arm, shown.measured, shown.scene)))
+            margins = margins_of(self._arm, shown.measured, shown.scene, self._beside)
+            put(self._bars, content=bars_html(margins))
         style = "font-size:12px;padding:2px 10px"
         self._show_picture()
         self._show_sag(shown)

@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Map, Mounting, Scene
 from pinposture.collision.mapping import MAPPING, SEEN
 from pinposture.collision.model import effective_scene
-from pinposture.control import Limits
+from pinposture.control import Geodesic, Limits
 from pinposture.control.limits import cycle_of
 from pinposture.motion import Tracker
 from pinposture.motion.latest import Latest
@@ -24,6 +24,7 @@ from pinposture.operate.operation import Operation
 from pinposture.sim.camera import DepthCamera, TipCamera
 from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import FAILURES, Plant, Sensing, Sensors
+from pinposture.task.carrier_feed import CarrierClearance, CarrierFeed
 
 Array = NDArray[np.float64]
 
@@ -49,6 +50,8 @@ class SimulatedArm:
     Without a camera the arm keeps clear of the obstacles of the scene. With one it does not know them: it
     keeps clear of what it sees of them, in a `Map`.
 
+    A robot that carries the arm is where the feed is: it is not simulated.
+
     A joint can fail on request (`fail`). Once there is a way out without one that sticks, the arm goes on
     with that joint locked in its model.
 
@@ -69,10 +72,12 @@ class SimulatedArm:
         camera: the depth camera at the tip; None: there is none.
         q0: where it starts, (nq,), at rest; None: at its neutral configuration.
         deadline: as for `Tracker` [s].
+        feed: the robot that carries the arm, which stays clear of the arm and of obstacles; None: none does.
 
     Raises:
         MujocoMissing: MuJoCo is not installed.
-        PostureError: the arm cannot be simulated, as `build_plant_model` says, or q0 is invalid.
+        PostureError: the arm cannot be simulated, as `build_plant_model` says, q0 is invalid, or the arm is
+            not at the flange of the robot.
     """
 
     def __init__(
@@ -87,6 +92,7 @@ class SimulatedArm:
         camera: DepthCamera | None = None,
         q0: ArrayLike | None = None,
         deadline: float = inf,
+        feed: CarrierFeed | None = None,
     ) -> None:
         self._arm = arm
         self._operation = operation
@@ -103,6 +109,7 @@ class SimulatedArm:
             self._map = Map(MAPPING.cell * arm.length, arm)
             known = known.with_obstacles({SEEN: self._map.cells})
         self.scene = known
+        self._beside = None if feed is None else CarrierClearance(feed, arm, known.margin, known)
         self._deadline = deadline
         self.tracker = self._new_tracker(arm)
         self._looking: Latest[Picture, None] = Latest(self._look, "pinposture-camera")
@@ -137,7 +144,8 @@ class SimulatedArm:
 
     def _new_tracker(self, arm: Arm) -> Tracker:
         """Return a tracker of the arm, of which some joints may be locked."""
-        return Tracker(arm, limits=self._limits, scene=self.scene, deadline=self._deadline)
+        controller = Geodesic(constraints=() if self._beside is None else (self._beside,))
+        return Tracker(arm, controller, limits=self._limits, scene=self.scene, deadline=self._deadline)
 
     def fail(self, *joints: str, kind: str = "stuck") -> None:
         """Let joints fail from the next cycle on, and no others. May be called from any thread.
@@ -178,6 +186,8 @@ class SimulatedArm:
             self._looking.ask(Picture(q, self.time + self.plant.dt))
         if self._map.cells is not self.scene.obstacles[SEEN]:
             self.scene = self.scene.updated({SEEN: self._map.cells})
+            if self._beside is not None:
+                self._beside.scene = self.scene
 
     def _look(self, picture: Picture, outdated: Event) -> None:
         """Take a picture, and add it to the map. Runs in a thread."""

@@ -330,9 +330,11 @@ class Driver:
 
     @cached_property
     def _beside(self) -> CarrierClearance | None:
-        """What keeps the arm clear of the robot that carries it; None: none does."""
+        """What keeps the robot that carries the arm clear of it and of obstacles; None: none does."""
         feed = self.settings.feed
-        return CarrierClearance(feed, self.arm, self._scene.margin) if isinstance(feed, CarrierFeed) else None
+        if not isinstance(feed, CarrierFeed):
+            return None
+        return CarrierClearance(feed, self.arm, self._scene.margin, self._scene)
 
     def _new_tracker(self, arm: Arm, scene: Scene) -> Tracker:
         """Return a tracker of the arm, of which some joints may be locked; takes seconds."""
@@ -916,6 +918,8 @@ class Driver:
         cells = self._map.cells
         if cells is not self._scene.obstacles[SEEN]:
             self._scene = self._scene.updated({SEEN: cells})
+            if self._beside is not None:
+                self._beside.scene = self._scene
 
     def _run_posted(self) -> None:
         while True:
@@ -1020,7 +1024,7 @@ class Driver:
     # Diagnostics.
 
     def _describe_carrier(self) -> str:
-        """Return how near the arm is to the robot that carries it."""
+        """Return how near something is to the robot that carries the arm."""
         if self._beside is None or self.measured is None:
             return ""
         closest = self._beside.closest(self.measured)

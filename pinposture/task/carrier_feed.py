@@ -20,7 +20,7 @@ from pinposture._validation import finite_array, make_read_only, require_instanc
 from pinposture.arm import Arm, ArmState, JointSpec
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.bodies import bodies_of
-from pinposture.collision.distances import PairDistances, TreeKinematics
+from pinposture.collision.distances import JointFrames, PairDistances, TreeKinematics
 from pinposture.collision.model import Closest, describe_distance
 from pinposture.collision.scene import USUAL_MARGIN
 from pinposture.collision.solids import Solid
@@ -169,8 +169,15 @@ class CarrierFeed:
         Raises:
             InvalidValue: positions that are not within the stroke.
         """
-        positions = self._checked(s)
-        return self.carrier.integrate(self.start, self._spline(positions))
+        return self.carrier.integrate(self.start, self.offsets(s))
+
+    def offsets(self, s: ArrayLike) -> Array:
+        """Return displacements of the robot from its start, as `at`, (nv,) or (N, nv) [rad or m]."""
+        return np.asarray(self._spline(self._checked(s)))
+
+    def rates(self, s: float) -> Array:
+        """Return the joint motion of the robot per feed at a position of the feed [m], (nv,) [rad/m or 1]."""
+        return np.asarray(self._spline(self._checked(s), 1))
 
     def find(self, q: ArrayLike) -> float:
         """Return the position of the feed at which the robot is, [m].
@@ -249,7 +256,7 @@ class CarrierFeed:
             raise InvalidValue("s", float(positions.flat[outside.argmax()]), f"0 to {self.stroke:g} m")
         return np.clip(positions, 0.0, self.stroke)
 
-    def _rates(self, offset: Array) -> Array:
+    def _solve_rates(self, offset: Array) -> Array:
         """Return the joint motion per feed at a displacement from the start, (nv,) [rad/m or 1]."""
         state = self.carrier.at(self.carrier.integrate(self.start, offset))
         turns, _ = orientation_rows(state, len(state.points) - 1, state.rotations[-1])
@@ -268,7 +275,7 @@ class CarrierFeed:
             return float(np.minimum(now - arm.limits.lower, arm.limits.upper - now).min())
 
         def regularity(_: float, offset: Array) -> float:
-            rates = np.abs(self._rates(offset) / arm.joint_units)
+            rates = np.abs(self._solve_rates(offset) / arm.joint_units)
             return FEED.largest_rate - arm.length * float(rates.max())
 
         events: list[Any] = [room, regularity]
@@ -276,7 +283,7 @@ class CarrierFeed:
             event.terminal = True
             event.direction = -1.0
         solved = solve_ivp(
-            lambda _, offset: self._rates(offset),
+            lambda _, offset: self._solve_rates(offset),
             (0.0, self.stroke),
             np.zeros(arm.nv),
             method="DOP853",
@@ -324,142 +331,202 @@ class CarrierFeed:
 
 
 class _CarriedBodies(NamedTuple):
-    """The bodies of an arm or a robot.
+    """The bodies of an arm and of the robot that carries it.
 
     Attributes:
-        kinematics: its kinematics.
-        solids: the bodies, each in the frame of its joint.
-        joints: the joints that carry them, (n,).
+        arm: the kinematics of the arm.
+        robot: that of the robot.
+        distances: the distances of the pairs that count, by the joint placements of the arm and the robot.
+        joints: the joints that carry the bodies, (n,): first those of the arm, then of the robot.
         names: their names.
     """
 
-    kinematics: TreeKinematics
-    solids: list[Solid]
+    arm: TreeKinematics
+    robot: TreeKinematics
+    distances: PairDistances
     joints: NDArray[np.int64]
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, arm: Arm) -> _CarriedBodies:
-        """Return the bodies of an arm or a robot; it takes long, as its description is read."""
-        kinematics = TreeKinematics(arm.model)
-        bodies = bodies_of(arm)
-        solids = [body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies]
-        joints = np.array([body.joint for body in bodies], dtype=np.int64)
-        return cls(kinematics, solids, joints, tuple(body.name for body in bodies))
+    def of(cls, arm: Arm, robot: Arm) -> _CarriedBodies:
+        """Return the bodies, without pairs; it takes long, as descriptions are read."""
+        both = (TreeKinematics(arm.model), TreeKinematics(robot.model))
+        solids: list[Solid] = []
+        joints: list[int] = []
+        names: list[str] = []
+        for kinematics, bodies, first, of in zip(
+            both,
+            (bodies_of(arm), bodies_of(robot)),
+            (0, arm.model.njoints),
+            ("", " of the robot"),
+            strict=True,
+        ):
+            solids += [body.shape.solid().turned(kinematics.turns[body.joint]) for body in bodies]
+            joints += [first + body.joint for body in bodies]
+            names += [f"{body.name}{of}" for body in bodies]
+        distances = PairDistances(solids, joints, [], [])
+        return cls(*both, distances, np.array(joints, dtype=np.int64), tuple(names))
+
+    @staticmethod
+    def both(arm: JointFrames, robot: JointFrames) -> JointFrames:
+        """Return the placements of the joints of the arm and then of the robot, each at s configurations."""
+        rotations = np.concatenate([arm.rotations, robot.rotations], axis=1)
+        return JointFrames(rotations, np.concatenate([arm.origins, robot.origins], axis=1))
 
 
 class CarrierClearance:
-    """The clearance between an arm and the robot that carries it: a constraint of `Geodesic`.
+    """The clearance of the robot that carries an arm from the arm, and from obstacles: for `Geodesic`.
 
-        controller = pp.Geodesic(constraints=[CarrierClearance(feed, arm)])
+        controller = pp.Geodesic(constraints=[CarrierClearance(feed, arm, scene=scene)])
 
     The mount of the arm, up to its feed, does not count, nor does what is closer than the margin while the
     arm is straight and retracted: bodies beside the flange.
+
+    Attributes:
+        scene: the obstacles that the robot stays clear of; another one may be set at any time, such as that
+            of a map that grows. None: none.
 
     Args:
         feed: the robot.
         arm: the arm; its first joint is the feed.
         margin: the clearance to keep [m].
+        scene: the obstacles, as above.
 
     Raises:
         InvalidValue: a first joint that is no slide, or a base that is not at the flange.
     """
 
-    name = "clearance between the arm and the robot that carries it"
+    name = "clearance of the robot that carries the arm"
 
-    def __init__(self, feed: CarrierFeed, arm: Arm, margin: float = USUAL_MARGIN) -> None:
+    def __init__(
+        self, feed: CarrierFeed, arm: Arm, margin: float = USUAL_MARGIN, scene: Scene | None = None
+    ) -> None:
         _require_mounted(feed, arm)
         self.feed = feed
         self.arm = arm
         self.margin = margin
+        self.scene = scene
+        self._model: tuple[Scene, CollisionModel] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return CarrierClearance, (self.feed, self.arm, self.margin)
+        return CarrierClearance, (self.feed, self.arm, self.margin, self.scene)
 
     @cached_property
-    def _parts(self) -> tuple[_CarriedBodies, _CarriedBodies]:
-        """The bodies of the arm and of the robot."""
-        return _CarriedBodies.of(self.arm), _CarriedBodies.of(self.feed.carrier)
-
-    @cached_property
-    def _names(self) -> tuple[str, ...]:
-        """Names of the bodies of the arm, then of the robot."""
-        return (*self._parts[0].names, *(f"{name} of the robot" for name in self._parts[1].names))
-
-    @cached_property
-    def _retracted(self) -> PairDistances:
-        """The distances at the start of the feed, of the pairs that count."""
-        bodies = self._parts[0]
-        fixed = self._carrier_at(0.0)
+    def _bodies(self) -> _CarriedBodies:
+        """The bodies of arm and robot, and the pairs that count."""
+        bodies = _CarriedBodies.of(self.arm, self.feed.carrier)
+        joints = bodies.joints
         mount = int(self.arm.model.getJointId(self.arm.joint_names[0]))
-        carried = np.flatnonzero(bodies.joints > mount)
-        pairs = [(int(i), len(bodies.solids) + k) for i in carried for k in range(len(fixed))]
-        distances = PairDistances(bodies.solids, bodies.joints.tolist(), fixed, pairs)
-        straight = bodies.kinematics.place(self.arm.straight())
-        near = distances.near(straight, float(np.nextafter(self.margin, inf))).pairs
+        own = joints < self.arm.model.njoints
+        carried = np.flatnonzero(own & (joints > mount))
+        pairs = [(int(i), int(k)) for i in carried for k in np.flatnonzero(~own)]
+        distances = bodies.distances.among(pairs)
+        retracted = bodies.both(bodies.arm.place(self.arm.straight()), bodies.robot.place(self.feed.start))
+        near = distances.near(retracted, float(np.nextafter(self.margin, inf))).pairs
         close = {(int(distances.first[i]), int(distances.second[i])) for i in near}
-        return distances.among([pair for pair in pairs if pair not in close])
+        return bodies._replace(distances=distances.among([pair for pair in pairs if pair not in close]))
 
-    def _carrier_at(self, s: float) -> list[Solid]:
-        """Return the bodies of the robot at a position of the feed, world frame."""
-        robot = self._parts[1]
-        placed = robot.kinematics.place(self.feed.at(s))
-        moved = []
-        for solid, joint in zip(robot.solids, robot.joints, strict=True):
-            turn = placed.rotations[0, joint]
-            origin = placed.origins[0, joint]
-            points = {
-                name: turn @ getattr(solid, name) + origin for name in ("position", "start", "end", "center")
-            }
-            moved.append(solid._replace(rotation=turn @ solid.rotation, **points))
-        return moved
-
-    def _distances_at(self, s: float) -> PairDistances:
-        return self._retracted.with_obstacles(dict(enumerate(self._carrier_at(s))))
+    @property
+    def _obstacles(self) -> CollisionModel | None:
+        """The robot among the obstacles of the scene, without its own bodies; None if there are none."""
+        scene = self.scene
+        if scene is None or not scene.obstacles:
+            return None
+        known = self._model
+        if known is None or known[0] is not scene:
+            alone = replace(scene, self_collision=False)
+            self._model = known = scene, CollisionModel(self.feed.carrier, alone)
+        return known[1]
 
     def closest(self, q: ArrayLike) -> Closest:
-        """Return the nearest bodies of arm and robot at a configuration of the arm, (nq,)."""
+        """Return the robot and what is nearest to it at a configuration of the arm, (nq,)."""
         q = self.arm.checked(q, "q")
-        distances = self._distances_at(self._feed_at(q))
-        distance, pair = distances.minimum(self._parts[0].kinematics.place(q))
-        names = self._names
+        s = self._feed_at(q)
+        bodies = self._bodies
+        distances = bodies.distances
+        placed = bodies.both(bodies.arm.place(q), bodies.robot.place(self.feed.at(s)))
+        distance, pair = distances.minimum(placed)
+        names = bodies.names
         both = None if pair < 0 else (names[distances.first[pair]], names[distances.second[pair]])
-        return Closest(float(distance), both)
+        nearest = Closest(float(distance), both)
+        if self._obstacles is None:
+            return nearest
+        beside = self._obstacles.minimum(self.feed.at(s))
+        if beside.pair is None or nearest.distance <= beside.distance:
+            return nearest
+        return Closest(beside.distance, (f"{beside.pair[0]} of the robot", beside.pair[1]))
 
     def require_clear(self, q: ArrayLike, name: str) -> None:
-        """Raise InvalidValue unless a configuration of the arm, (nq,), has it clear of the robot."""
+        """Raise InvalidValue unless the robot is clear at a configuration of the arm, (nq,)."""
         closest = self.closest(q)
         if closest.distance < (1.0 - CONVERGED) * self.margin:
             told = describe_distance(closest.pair or (), closest.distance)
-            raise InvalidValue(name, told, f"at least {length_text(self.margin)} between arm and robot")
+            raise InvalidValue(name, told, f"at least {length_text(self.margin)} around the robot")
 
     def _feed_at(self, q: Array) -> float:
         return float(np.clip(self.arm.positions(q)[0], 0.0, self.feed.stroke))
 
     def rows(self, state: ArmState) -> tuple[Array, Array, Array]:
         """Return the rows of near bodies; see `Constraint.rows`."""
-        bodies, robot = self._parts
-        kinematics = bodies.kinematics
         s = self._feed_at(state.q)
-        placements = kinematics.place(state.q)
-        distances = self._distances_at(s)
-        near = distances.near(placements, self.margin + FEED.watched * self.arm.length)
-        if not len(near.pairs):
+        robot = self.feed.at(s)
+        rates = self.feed.rates(s)
+        watched = self.margin + FEED.watched * self.arm.length
+        matrix, distances = self._rows_beside_arm(state.q, robot, rates, watched)
+        if self._obstacles is not None:
+            near = self._obstacles.nearest(self.feed.carrier.at(robot), watched)
+            others = np.zeros((len(near.distances), self.arm.nv))
+            others[:, 0] = near.jacobian @ rates
+            matrix = np.concatenate([matrix, others])
+            distances = np.concatenate([distances, near.distances])
+        if not len(distances):
             return np.zeros((1, self.arm.nv)), np.array([-self.arm.length]), np.array([inf])
-        carriers = bodies.joints[distances.first[near.pairs]]
-        matrix = kinematics.differentiate(
-            placements, carriers, np.zeros_like(carriers), near.points, near.normals
-        )
+        return matrix, self.margin - distances, np.full(len(distances), inf)
+
+    def violations(self, start: ArmState, offsets: Array) -> Array:
+        """Return by how much it is violated at states displaced from one; see `Constraint`."""
+        feed = self.arm.positions(start.q)[0] + offsets[:, 0]
+        carried = self.feed.offsets(np.clip(feed, 0.0, self.feed.stroke))
+        bodies = self._bodies
+        robot = bodies.robot.place(self.feed.start, carried)
+        placed = bodies.both(bodies.arm.place(start.q, offsets), robot)
+        beside = self._obstacles
+        least = bodies.distances.minimum(placed, below=self.margin)[0]
+        if beside is not None:
+            least = min(least, beside.minimum_along(self.feed.start, carried, self.margin).distance)
+        if least >= self.margin:  # nearly always
+            return np.zeros(len(offsets))
+        distances = np.empty(len(offsets))
+        for k in range(len(offsets)):
+            frames = JointFrames(placed.rotations[k : k + 1], placed.origins[k : k + 1])
+            distances[k] = bodies.distances.minimum(frames)[0]
+            if beside is not None:
+                there = beside.minimum_along(self.feed.start, carried[k : k + 1])
+                distances[k] = min(distances[k], there.distance)
+        return np.maximum(self.margin - distances, 0.0)
+
+    def _rows_beside_arm(self, q: Array, robot: Array, rates: Array, within: float) -> tuple[Array, Array]:
+        """Return the derivatives, (r, nv), of distances between arm and robot, and these, (r,) [m].
+
+        Args:
+            q: the configuration of the arm, (nq,).
+            robot: that of the robot, (nq,).
+            rates: its joint motion per feed, (nv,).
+            within: the distance up to which they count [m].
+        """
+        bodies = self._bodies
+        placed = bodies.arm.place(q)
+        carrier = bodies.robot.place(robot)
+        near = bodies.distances.near(bodies.both(placed, carrier), within)
+        fixed = np.zeros(len(near.pairs), dtype=np.int64)
+        joints = bodies.joints[bodies.distances.first[near.pairs]]
+        matrix = bodies.arm.differentiate(placed, joints, fixed, near.points, near.normals)
         # The feed moves the bodies of the robot as well.
-        step = np.copysign(1e-6 * self.feed.stroke, 0.5 * self.feed.stroke - s)
-        now, then = (robot.kinematics.place(self.feed.at(at)) for at in (s, s + step))
+        joints = bodies.joints[bodies.distances.second[near.pairs]] - self.arm.model.njoints
         there = near.points - near.distances[:, None] * near.normals
-        for row, pair, point, normal in zip(matrix, near.pairs, there, near.normals, strict=True):
-            joint = robot.joints[int(distances.second[pair]) - len(bodies.solids)]
-            local = now.rotations[0, joint].T @ (point - now.origins[0, joint])
-            moved = then.rotations[0, joint] @ local + then.origins[0, joint] - point
-            row[0] -= normal @ moved / step
-        return matrix, self.margin - near.distances, np.full(len(near.pairs), inf)
+        moved = bodies.robot.differentiate(carrier, joints, fixed, there, -near.normals)
+        matrix[:, 0] += moved @ rates
+        return matrix, near.distances
 
 
 class CarriedDrives:

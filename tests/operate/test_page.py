@@ -165,3 +165,58 @@ def test_a_simulated_arm_moves_while_it_is_told_and_maps_what_it_sees() -> None:
     seen = simulated.picture[np.isfinite(simulated.picture)]
     assert len(seen) > 20 and seen.min() == pytest.approx(0.23 - moved[0] - tip[0], abs=0.1)
     assert np.all(np.abs(cells[:, 0] - 0.23) < 0.01)
+
+
+def on_a_robot() -> tuple[pp.CarrierFeed, pp.Arm]:
+    axes = ("z", "y", "y", "x", "y", "x")
+    joints = [pp.JointSpec(axis, lower=-3.0, upper=3.0, velocity=1.5) for axis in axes]
+    robot = pp.Arm.from_modules([pp.ModuleTemplate("Robot", joints, [0.3, 0.4, 0.4, 0.1, 0.1, 0.1])])
+    feed = pp.CarrierFeed(robot, np.array([0.0, -1.0, 2.0, 0.0, -1.0, 0.0]), 0.3, (1.0, 0.0, 0.0))
+    slide = pp.ModuleTemplate("Feed", joints=(feed.joint,), link_lengths=(0.05,))
+    modules = [slide, *[pp.template("RyRz")] * 4]
+    return feed, pp.Arm.from_modules(modules, base_placement=feed.base_placement)
+
+
+@pytest.mark.long
+def test_the_feed_stands_where_the_robot_that_carries_the_arm_would_come_too_close() -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+    feed, arm = on_a_robot()
+    limits = feed.limits(arm, usual_limits(arm, 0.02))
+    scene = pp.Scene({"ball": pp.Sphere((0.70, 0.0, 0.26), 0.05)}, margin=0.01)
+    beside = pp.CollisionModel(feed.carrier, pp.Scene(scene.obstacles, self_collision=False))
+    at = np.linspace(0.0, 0.3, 3001)
+    distances = np.array([beside.minimum(q).distance for q in feed.at(at)])
+    free = at[np.argmax(distances < 0.01)]
+    reached = []
+    for robot in (None, feed):
+        now = [0.0]
+        operation = Operation(arm, limits, Control(), 0.1, clock=lambda now=now: now[0])
+        simulated = SimulatedArm(arm, operation, limits, scene, feed=robot)
+        for message in ('{"do": "ask"}', '{"do": "release"}'):
+            operation.control.take("page", message, 0.0)
+        commanded = []
+        for _ in range(240):
+            now[0] += 0.02
+            operation.control.take("page", json.dumps(HELD | {"ahead": 1.0}), now[0])
+            assert simulated.cycle()
+            if operation.shown.commanded is not None:
+                commanded.append(operation.shown.commanded[0])
+        simulated.close()
+        reached.append(max(commanded))
+    assert reached[0] == pytest.approx(0.3, abs=1e-3)
+    assert free - 0.01 < reached[1] < free + 0.002  # drives lag, as beside obstacles of the arm
+    assert np.interp(reached[1], at, distances) > 0.0095
+
+
+def test_the_page_shows_the_robot_where_the_feed_is() -> None:
+    feed, arm = on_a_robot()
+    operation = an_operation(arm)
+    live = LivePage(operation, port=free_port(), feed=feed)
+    q = arm.straight()
+    q[0] = 0.2
+    operation.shown = operation.shown._replace(measured=q)
+    live.start()
+    with visiting(live.url) as client:
+        until(lambda: any("of the robot" in text for text in client.shown("content")))
+    np.testing.assert_allclose(live._robot.q, feed.at(0.2), atol=1e-12)
+    live.close()

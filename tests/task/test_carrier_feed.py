@@ -242,6 +242,54 @@ def test_rows_of_the_clearance_of_a_robot_are_derivatives(seed: int) -> None:
     assert "of the robot" in str(clearance.closest(q).pair)
 
 
+def elbow(feed: pp.CarrierFeed, s: float) -> np.ndarray:
+    data = feed.carrier.model.createData()
+    pin.forwardKinematics(feed.carrier.model, data, feed.at(s))
+    return data.oMi[4].translation.copy()
+
+
+@pytest.mark.parametrize("seed", seeds(4))
+def test_a_robot_keeps_clear_of_obstacles_as_well(seed: int) -> None:
+    feed = pp.CarrierFeed(robot(), BENT, 0.15, AHEAD)
+    arm = carried(feed)
+    s = float(np.random.default_rng(seed).uniform(0.02, 0.13))
+    there = elbow(feed, s) + np.array([0.02, 0.02, 0.06])
+    scene = pp.Scene({"ball": pp.Sphere(tuple(there), 0.03)}, self_collision=False)
+    model = pp.CollisionModel(feed.carrier, scene)
+    clearance = CarrierClearance(feed, arm, 0.02, scene)
+    q = arm.straight()
+    q[0] = s
+    nearest = model.minimum(feed.at(s))
+    assert clearance.closest(q) == (nearest.distance, (f"{nearest.pair[0]} of the robot", "ball"))
+    matrix, lower, _ = clearance.rows(arm.at(q))
+    worst = int(lower.argmax())
+    assert clearance.margin - lower[worst] == pytest.approx(nearest.distance, abs=1e-9)
+    assert not matrix[worst, 1:].any()
+    h = 1e-6
+    slope = (model.minimum(feed.at(s + h)).distance - model.minimum(feed.at(s - h)).distance) / (2.0 * h)
+    assert matrix[worst, 0] == pytest.approx(slope, abs=2e-4)
+    clearance.scene = None
+    assert clearance.closest(q).distance > nearest.distance
+
+
+@pytest.mark.parametrize("scene", [None, pp.Scene({"ball": pp.Sphere((0.35, 0.1, 0.5), 0.06)})])
+def test_violations_at_many_states_are_those_of_the_rows_there(scene: pp.Scene | None) -> None:
+    feed = pp.CarrierFeed(robot(), BENT, 0.15, AHEAD)
+    arm = carried(feed)
+    clearance = CarrierClearance(feed, arm, 0.02, scene)
+    rng = np.random.default_rng(0)
+    start = arm.at(arm.straight())
+    offsets = rng.normal(0.0, 0.2, (200, arm.nv))
+    offsets[:, 2::2] += rng.uniform(0.3, 0.9, (200, 1))
+    offsets[:, 0] = rng.uniform(0.0, 0.15, 200)
+    violations = clearance.violations(start, offsets)
+    at_each = [clearance.rows(arm.at(arm.integrate(start.q, offset)))[1].max() for offset in offsets]
+    np.testing.assert_allclose(violations, np.maximum(at_each, 0.0), atol=1e-9)
+    assert 10 < np.count_nonzero(violations) < 190
+    kept = offsets[violations == 0.0]
+    np.testing.assert_array_equal(clearance.violations(start, kept), 0.0)
+
+
 def test_an_arm_elsewhere_is_not_carried() -> None:
     feed = pp.CarrierFeed(robot(), BENT, 0.15, AHEAD)
     slide = pp.ModuleTemplate("Feed", joints=(feed.joint,), link_lengths=(0.05,))

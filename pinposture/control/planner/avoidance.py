@@ -15,7 +15,7 @@ from pinposture.arm import ChainState
 from pinposture.arm.dynamics import StepLoads
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE, describe_distance
-from pinposture.control.constraint import Inequalities, describe_violated, inequalities_of
+from pinposture.control.constraint import Inequalities, describe_violated, inequalities_of, violations_along
 from pinposture.control.limits import JointBounds
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.torque_limits import StepTorques, Stop, TorqueLimits
@@ -416,11 +416,7 @@ class Avoidance:
             return np.zeros(len(path) - 1)
         offsets, ends = self._sampled(path)
         start = self.objective.arm.chain_at(q)
-        violations = np.zeros(len(offsets))
-        if self.constraints:
-            violations = np.array(
-                [inequalities.violation for inequalities in self._inequalities_along(start, offsets)]
-            )
+        violations = violations_along(self.constraints, start, offsets)
         if self.torques is not None:
             violations = np.maximum(violations, self.torques.violations(start.raw_positions + offsets))
         return np.asarray(np.maximum(np.maximum.reduceat(violations, ends[:-1]), violations[ends[1:]]))
@@ -429,10 +425,6 @@ class Avoidance:
         """Return displacements (s, nv) on straight motions, and the index of each waypoint among them."""
         longest = AVOIDANCE.sampled_turn * self.objective.arm.joint_units
         return kernels.divide_path(np.ascontiguousarray(path), longest)
-
-    def _inequalities_along(self, start: ChainState, offsets: Array) -> list[Inequalities]:
-        """Return the constraints at states displaced from one, (s, nv)."""
-        return [inequalities_of(self.constraints, start.moved(offset)) for offset in offsets]
 
     def lacks_room(self, q: Array, offsets: Array) -> NDArray[np.bool_]:
         """Whether `missing_room` may have rows at states displaced from a configuration, (s, nv), (s,)."""
@@ -651,10 +643,9 @@ class Avoidance:
         offsets, _ = self._sampled(path)
         messages: tuple[str, ...] = ()
         if self.constraints:
-            worst = max(
-                self._inequalities_along(start, offsets), key=lambda inequalities: inequalities.violation
-            )
-            messages = describe_violated(worst, self._length)
+            worst_at = int(violations_along(self.constraints, start, offsets).argmax())
+            there = inequalities_of(self.constraints, start.moved(offsets[worst_at]))
+            messages = describe_violated(there, self._length)
         if self.torques is not None:
             worst_at = int(self.torques.violations(start.raw_positions + offsets).argmax())
             messages += self.torques.describe(start.moved(offsets[worst_at]))

@@ -288,6 +288,43 @@ def test_an_exception_in_a_constraint_names_it_and_its_line() -> None:
         pp.track(arm(), target, arm().neutral(), Geodesic(constraints=[Broken()]))
 
 
+class AtOnce(LinkInCone):
+    """The same cone, told for many states at once."""
+
+    calls = 0
+
+    def violations(self, start, offsets):
+        type(self).calls += 1
+        states = [start.arm.at(start.arm.integrate(start.q, offset)) for offset in offsets]
+        links = np.array([state.rotations[self.point][0, 0] for state in states])
+        return start.arm.length * np.maximum(np.cos(self.angle) - links, 0.0)
+
+
+def test_a_constraint_that_tells_of_many_states_at_once_leads_to_the_same_path() -> None:
+    q0, q1 = sweeping_pair("cone", 2)
+    start = arm().at(q0)
+    target = pp.Target.from_configuration(arm(), q1)
+    paths = [pp.control.plan(start, target, constraints=[kind()]) for kind in (LinkInCone, AtOnce)]
+    assert AtOnce.calls
+    np.testing.assert_array_equal(paths[0].offsets, paths[1].offsets)
+    outside = pp.Target.from_configuration(arm(), 0.5 * np.ones(arm().nv))
+    names = [
+        pp.control.plan(start, outside, constraints=[kind()]).blocked_by for kind in (LinkInCone, AtOnce)
+    ]
+    assert names[0] == names[1] != ""
+
+
+@pytest.mark.parametrize("value", [None, [0.0], [[0.0, 0.0]], np.nan])
+def test_violations_that_are_not_one_for_each_state_are_refused(value) -> None:
+    class Wrong(LinkInCone):
+        def violations(self, start, offsets):
+            return value if np.ndim(value) else np.full(len(offsets), np.nan) if value else value
+
+    target = pp.Target.from_configuration(arm(), 0.2 * np.ones(arm().nv))
+    with pytest.raises(InvalidValue, match=r"camera\.violations\(start, offsets\)"):
+        pp.control.plan(arm().at(arm().neutral()), target, constraints=[Wrong()])
+
+
 @pytest.mark.parametrize("wrong", [[3], [LinkInCone], LinkInCone(), None, ["cone"]])
 def test_only_constraints_are_taken(wrong) -> None:
     with pytest.raises(InvalidValue, match="constraints"):
