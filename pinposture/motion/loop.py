@@ -141,10 +141,6 @@ class RunRecord:
         error = float(self._target.distances(state.chain_state.points).sum())
         return error > self.posture_error + rounding
 
-    def mean_error_at(self, state: ArmState) -> float:
-        """Return the mean distance of the control points from their targets at a state [m]."""
-        return self._target.mean_distance(state.chain_state.points)
-
     def append(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
         """Append a step.
 
@@ -185,7 +181,7 @@ class RunRecord:
     def run(self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str) -> Run:
         """Return the run so far, with messages on steps that exceed limits and on constraints at its end."""
         steps = self._steps
-        if isinstance(controller, Geodesic):
+        if isinstance(controller, Geodesic) and controller.constraints:
             broken = describe_violated(inequalities_of(controller.constraints, self._last), arm.length)
             reason = "; ".join([reason, *broken])
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
@@ -346,7 +342,7 @@ class RecordedLoop(Loop):
         """Return status and reason if the run is over, else empty strings."""
         mean = self.record.mean_error
         if self.filter.moving:
-            mean = max(mean, self.record.mean_error_at(self.ahead))
+            mean = max(mean, target.mean_distance(self.ahead.chain_state.points))
         if mean <= tolerance:
             brake = self._bounds.brake
             if brake is None or self.memory is None or np.all(np.abs(self.memory.dq) <= brake):  # it can stop

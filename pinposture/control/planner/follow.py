@@ -512,6 +512,42 @@ def _rises(objective: Objective, before: float, after: float) -> bool:
     return after > before + FOLLOWING.error_rounding * objective.arm.length
 
 
+def _clip_step(
+    objective: Objective, state: ChainState, bounds: JointBounds, limits: Array, dq: Array
+) -> tuple[Array, NDArray[np.bool_], bool]:
+    """Clip a step to its limits, in place, and look at what is after it.
+
+    Args:
+        objective: the objective.
+        state: the state before it.
+        bounds: the limits of the joints.
+        limits: smallest and largest step, (2, nv) [rad or m].
+        dq: the step, (nv,) [rad or m].
+
+    Returns:
+        Joint positions after it, (nv,) [rad or m]; which joints are at a position limit then, (nv,); and
+        whether the posture error rises.
+    """
+    arm = state.arm
+    chain = objective.chain
+    reached = np.empty(arm.nv)
+    at_limit = np.empty(arm.nv, dtype=np.bool_)
+    before, after = kernels.look_ahead(
+        arm.kinematics.constants,
+        state.raw_positions,
+        bounds.units,
+        limits,
+        bounds.position_limits,
+        state.placements.points,
+        chain.targets,
+        chain.flags,
+        dq,
+        reached,
+        at_limit,
+    )
+    return reached, at_limit, _rises(objective, before, after)
+
+
 def _steps_ahead(
     progress: PathProgress, state: ChainState, bounds: JointBounds, previous: Array | None
 ) -> StepsAhead:
@@ -651,8 +687,7 @@ def pursue(
         steady = bool(np.all(np.abs(motion - before.motion) <= bounds.brake * (1.0 + ROUNDING)))
     if not (target.led or (steady and np.any(motion))):
         return None, goal
-    chain = objective.chain
-    columns = chain.columns
+    columns = objective.chain.columns
     positions = state.raw_positions
     rest = _turned(arm, nearest - positions)
     near = np.abs(rest) <= FOLLOWING.most_pursued_motion * arm.joint_units
@@ -664,26 +699,12 @@ def pursue(
     dq = np.zeros(arm.nv)
     proposal = rest if bounds.brake is None else motion + farthest(rest - motion, bounds.brake)
     dq[columns] = np.minimum(np.maximum(proposal, step_bounds.lower), step_bounds.upper)[columns]
-    reached = np.empty(arm.nv)
-    at_limit = np.empty(arm.nv, dtype=np.bool_)
-    error, after = kernels.look_ahead(
-        arm.kinematics.constants,
-        positions,
-        bounds.units,
-        step_bounds.both,
-        bounds.position_limits,
-        state.placements.points,
-        chain.targets,
-        chain.flags,
-        dq,
-        reached,
-        at_limit,
-    )
+    _, at_limit, rises = _clip_step(objective, state, bounds, step_bounds.both, dq)
     step = Step(
         dq,
-        chain.active,
+        objective.chain.active,
         at_limit,
-        error_increasing=_rises(objective, error, after),
+        error_increasing=rises,
         violated_constraints=step_bounds.violated_constraints,
         following_path=True,
         memory=GeodesicMemory(dq, None, None, goal),
@@ -1147,28 +1168,14 @@ def check_step(
         violated += relaxed
         messages = _Messages.of(avoidance, state, progress.timed.path, candidate.solution, bool(reason))
     objective = progress.objective
-    reached = np.empty(arm.nv)
-    at_limit = np.empty(arm.nv, dtype=np.bool_)
     both = step_bounds.both if share == 1.0 else np.outer((-np.inf, np.inf), np.ones(arm.nv))
-    before_error, after_error = kernels.look_ahead(
-        arm.kinematics.constants,
-        state.raw_positions,
-        bounds.units,
-        both,
-        bounds.position_limits,
-        state.placements.points,
-        objective.chain.targets,
-        objective.chain.flags,
-        dq,
-        reached,
-        at_limit,
-    )
+    reached, at_limit, rises = _clip_step(objective, state, bounds, both, dq)
     return Step(
         dq,
         objective.chain.active,
         at_limit,
         reason,
-        error_increasing=_rises(objective, before_error, after_error),
+        error_increasing=rises,
         violated_constraints=violated + messages.violated,
         near=messages.near,
         following_path=not progress.arrived and progress.idle_travel <= before.idle_travel,
