@@ -82,7 +82,7 @@ def __getattr__(name: str) -> object:
 def load() -> None:
     """Compile all kernels, or load them from the cache, so that no later call has to wait.
 
-    This takes half a second if they are cached, else about a minute.
+    This takes a quarter of a second if they are cached, else about a minute.
     """
     from pinposture.kernels.compiled import load as load_kernel
 

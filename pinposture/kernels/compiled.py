@@ -15,13 +15,15 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from inspect import signature
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numba
 import numpy as np
+from llvmlite import binding
 from numba.core import event, types
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.sigutils import normalize_signature
@@ -69,6 +71,9 @@ def _compile(function: Function, options: dict[str, Any]) -> Function:
         # Machine code includes the called kernels, but numba only checks the file of the caller.
         cached._source_stamp = source_stamp(Path(function.__code__.co_filename))
         cached._load_index = _empty_if_unreadable(cached._load_index)
+        kernel._cache._impl.rebuild = _without_bitcode(
+            kernel._cache._impl.rebuild, wrapped="no_cpython_wrapper" not in options
+        )
         lock = Path(kernel._cache.cache_path) / f"{function.__name__}.lock"
         kernel.compile = _one_at_a_time(kernel.compile, lock)
     return cast(Function, kernel)
@@ -143,6 +148,33 @@ def _empty_if_unreadable(load_index: Callable[[], Any]) -> Callable[[], Any]:
             return {}
 
     return load_or_empty
+
+
+def _without_bitcode(rebuild: Callable[..., Any], wrapped: bool) -> Callable[..., Any]:
+    """Read bitcode, by which other kernels link a cached one, only if one of them is compiled.
+
+    A kernel runs without it, and to read it takes three quarters of the time of loading a kernel.
+
+    Args:
+        rebuild: makes a kernel from what is cached.
+        wrapped: whether it can be called from Python.
+    """
+
+    def rebuild_without(context: Any, cached: Any) -> Any:
+        try:
+            (name, kind, (machine_code, bitcode)), descriptor, *others = cached
+            symbols = {descriptor.llvm_func_name}
+            if wrapped:
+                symbols.add(descriptor.llvm_cpython_wrapper_name)
+            context.codegen()._engine._defined_symbols.update(symbols)
+        except (AttributeError, TypeError, ValueError):  # numba's internals have changed
+            return rebuild(context, cached)
+        nothing = binding.parse_assembly("").as_bitcode()
+        kernel = rebuild(context, ((name, kind, (machine_code, nothing)), descriptor, *others))
+        kernel.library._shared_module = SimpleNamespace(clone=partial(binding.parse_bitcode, bitcode))
+        return kernel
+
+    return rebuild_without
 
 
 def is_ready(kernel: Any) -> bool:

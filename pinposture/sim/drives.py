@@ -37,7 +37,12 @@ class Drives:
         """Send joint positions, (nv,) [rad or m], and return those of the arm a cycle later, (nv,)."""
         model = self.model
         self._sent.appendleft(finite_vector("command", command, len(self.positions)))
-        arrived = self._arrived(model.delay / self._dt) + self.sag
+        age = model.delay / self._dt  # of the command that arrives [cycles]
+        last = len(self._sent) - 1
+        newer = min(int(age), last)
+        share = age - int(age)
+        sent = (1.0 - share) * self._sent[newer] + share * self._sent[min(newer + 1, last)]
+        arrived = sent + self.sag
         error = arrived - self.positions
         holds = np.where(self._moving, model.friction, model.friction + model.stiction)
         self._moving = self.running & (np.abs(error) > holds)
@@ -45,10 +50,3 @@ class Drives:
         moved = (1.0 - np.exp(-self._dt / model.lag)) * (ends - self.positions)
         self.positions = self.positions + np.where(self._moving, moved, 0.0)
         return np.array(self.positions)
-
-    def _arrived(self, age: float) -> Array:
-        """Return the command sent so many cycles ago."""
-        last = len(self._sent) - 1
-        newer = min(int(age), last)
-        share = age - int(age)
-        return np.asarray((1.0 - share) * self._sent[newer] + share * self._sent[min(newer + 1, last)])

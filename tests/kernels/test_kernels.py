@@ -7,13 +7,16 @@ import os
 import pickle
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, TypeVar
+from unittest.mock import Mock
 
 import numba
 import numpy as np
 import pytest
+from llvmlite import binding
 from numba import types
 from typing_extensions import TypeAliasType
 
@@ -105,6 +108,46 @@ def test_processes_that_want_a_kernel_at_the_same_time_compile_it_once(tmp_path:
     counts = [int(each.stdout.read()) for each in started]
     assert [each.wait(60) for each in started] == [0, 0, 0]
     assert sorted(counts) == [0, 0, 1]
+
+
+TWICE = """
+import pinposture.kernels.compiled as making
+
+@making.compiled
+def twice(x: float) -> float:
+    return 2.0 * x
+"""
+FOUR_TIMES = """
+from kernel_twice import twice
+import pinposture.kernels.compiled as making
+
+@making.compiled
+def four_times(x: float) -> float:
+    return twice(twice(x))
+"""
+
+
+@pytest.mark.long
+def test_what_links_a_cached_kernel_is_read_only_where_another_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "kernel_twice.py").write_text(TWICE)
+    (tmp_path / "kernel_four_times.py").write_text(FOUR_TIMES)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("llvmlite.binding.parse_bitcode", noted := Mock(wraps=binding.parse_bitcode))
+
+    def call(name: str, x: float) -> tuple[float, int]:
+        """The value of a kernel that is imported anew, and how many linked kernels were read for it."""
+        for module in ("kernel_twice", "kernel_four_times"):
+            sys.modules.pop(module, None)
+        noted.reset_mock()
+        value = getattr(import_module(f"kernel_{name}"), name)(x)
+        return value, sum(b"twice" in each.args[0] for each in noted.call_args_list)
+
+    assert call("twice", 1.0) == (2.0, 0)  # compiled
+    assert call("twice", 3.0) == (6.0, 0)  # as all below from the cache
+    assert call("four_times", 1.0) == (4.0, 1)  # compiled
+    assert call("four_times", 3.0) == (12.0, 0)
 
 
 NOWHERE = """
