@@ -150,11 +150,16 @@ def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_
 
 
 def test_a_motion_is_performed_once_from_its_start(graph: Any, arm_file: Path, tmp_path: Path) -> None:
+    from trajectory_msgs.msg import JointTrajectory
+
     arm = pp.Arm.load(arm_file)
     bends = 0.2 + 0.2 * np.sin(np.linspace(0.0, 2.0 * np.pi, 101)) ** 2
     motion = pp.JointTrajectory.from_configurations(arm, bends[:, None] * np.ones(arm.nv), 0.03)
     pp.save(motion, tmp_path / "motion.csv")
     watch = Watch(graph, arm, "watch_3")
+    commands: list[Any] = []
+    topic = "/joint_trajectory_controller/joint_trajectory"
+    watch.node.create_subscription(JointTrajectory, topic, commands.append, 100)
     with (
         started(tmp_path, "robot", arm_file, "--frequency", 20),
         started(tmp_path, "drive", arm_file, "--motion", tmp_path / "motion.csv", "--acceleration", 10),
@@ -169,5 +174,6 @@ def test_a_motion_is_performed_once_from_its_start(graph: Any, arm_file: Path, t
         # Twice up and down, as the motion is, and back at its end.
         ups = np.sum(np.diff((means > 0.3).astype(int)) == 1)
         assert ups == 2
-        assert means.max() < 0.42
+        # Servos overshoot where the machine is so busy that commands come late: what is sent tells.
+        assert max(np.mean(each.points[0].positions) for each in commands) < 0.41
         assert graph.run(lambda: abs(watch.positions.mean() - 0.2) < 0.01)
