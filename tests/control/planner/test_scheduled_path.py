@@ -8,6 +8,7 @@ from arms import template_arm
 from sampling import seeds
 
 import pinposture as pp
+from pinposture import kernels
 from pinposture.arm import smooth_configuration
 from pinposture.control import GeodesicMemory, PathProgress
 from pinposture.control.planner.objective import Objective
@@ -193,6 +194,31 @@ def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
         q = one().integrate(q, step.dq)
         steps.append(float(step.dq[0]))
     assert steps[29] > 0.9 * 0.019 and min(steps[30:80]) > 0.9 * 0.019
+
+
+def test_a_new_path_of_a_moving_arm_is_timed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    timed: list[float] = []
+    find = kernels.find_speed_profile
+
+    def counted(
+        offsets: object, slopes: object, bound: object, initial_speed: float, *others: object
+    ) -> None:
+        timed.append(initial_speed)
+        find(offsets, slopes, bound, initial_speed, *others)
+
+    monkeypatch.setattr(kernels, "find_speed_profile", counted)
+    limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0)
+    controller = pp.Geodesic()
+    q = arm().straight()
+    memory = None
+    for k in range(10):
+        angle = 0.3 if k < 9 else -0.9
+        target = Target.from_configuration(arm(), arm().configuration(np.full(arm().nv, angle)))
+        step = controller.step(arm().at(q), target, limits, memory)
+        memory = step.memory
+        q = arm().integrate(q, step.dq)
+    first, second = timed
+    assert first == 0.0 < second
 
 
 def test_a_way_begins_with_what_it_was_given() -> None:
