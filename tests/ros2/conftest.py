@@ -13,6 +13,9 @@ from ros2.processes import environment, own_domain
 
 import pinposture as pp
 
+PATIENCE = 120.0
+"""How long something that has to happen is waited for [s]: on a busy machine arms often have to hold."""
+
 
 class Graph:
     """Nodes in a domain, which work while a test waits for something."""
@@ -34,7 +37,7 @@ class Graph:
         self._running.append(executor)
         return node
 
-    def run(self, until: Callable[[], Any], patience: float = 20.0) -> bool:
+    def run(self, until: Callable[[], Any], patience: float = PATIENCE) -> bool:
         """Let all nodes work until something is so; return whether it is in time."""
         end = time.monotonic() + patience
         while not until() and time.monotonic() < end:

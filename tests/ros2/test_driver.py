@@ -515,7 +515,7 @@ def test_an_operator_leads_the_arm_out_with_the_joint_that_sticks(
     assert hold(lambda: operation.arm is not arm, **back), (driver.reason, operation.shown)
     assert operation.arm.limits.lower.tolist().count(stuck_at) == 1
     whole = driver.tracker
-    assert graph.run(lambda: driver.tracker is not whole, 60.0), driver.reason
+    assert graph.run(lambda: driver.tracker is not whole), driver.reason
     assert driver.tracker.arm is operation.arm and driver.locked == {failing: stuck_at}
     words = "unchanged while an operator or another guide leads the arm"
     (answer,) = driver._node.set_parameters([Parameter("locked", value="")])

@@ -28,7 +28,7 @@ def test_a_planned_motion_is_sent_and_its_end_is_checked(graph: Any, arm_file: P
     command = [sys.executable, EXAMPLES / "send_motion.py", goal]
     watch = Watch(graph, arm, "watch")
     with started(tmp_path, "robot", arm_file, "--frequency", 20):
-        assert graph.run(lambda: watch.states, 60.0)
+        assert graph.run(lambda: watch.states)
         sent = subprocess.run(
             command, env=os.environ | environment(tmp_path), capture_output=True, check=False
         )
@@ -70,7 +70,7 @@ def test_the_tracker_node_drives_the_arm_to_one_curve_and_to_another(
                     watch.states and np.linalg.norm(watch.points - target.points, axis=1).max() < 2e-3
                 )
 
-            assert graph.run(there, 60.0), node.poll()
+            assert graph.run(there), node.poll()
         publisher.publish(String(data=str(tmp_path / "missing.json")))
         graph.run_for(1.0)
         assert node.poll() is None  # it goes on

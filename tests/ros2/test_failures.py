@@ -123,9 +123,9 @@ class Falls:
         assert self.graph.run(lambda: np.abs(self.positions - bend).max() < 0.01), self.driver.reason
         self.wait_for("status", "converged")
 
-    def wait_for(self, key: str, start: str, patience: float = 20.0) -> str:
+    def wait_for(self, key: str, start: str) -> str:
         """Wait until diagnostics tell something, and return all of it."""
-        told = self.graph.run(lambda: self.diagnostics.get(key, "").startswith(start), patience)
+        told = self.graph.run(lambda: self.diagnostics.get(key, "").startswith(start))
         assert told, (self.diagnostics, self.driver.reason)
         return self.diagnostics[key]
 
@@ -172,12 +172,12 @@ def test_the_arm_comes_out_with_a_joint_that_falls_and_works_again_without(falls
     falls.wait_for("failing joints", f"{names[0]} is astray")
     assert falls.wait_for("fallen joint", f"{names[0]} is limp at 0.8") == f"{names[0]} is limp at 0.8"
     assert driver.locked == {}
-    falls.wait_for("without them", "a way out of ", 60.0)
+    falls.wait_for("without them", "a way out of ")
     assert falls.wait_for("reason", names[0]).startswith(f"{names[0]} has fallen; way out: ")
     with pytest.raises(InvalidValue, match="only retreat"):
         falls.aim(0.0)
     assert falls.set_to(driver._node, "retreat", True).successful
-    assert falls.graph.run(lambda: np.abs(falls.positions[others]).max() < 0.02, 60.0), driver.reason
+    assert falls.graph.run(lambda: np.abs(falls.positions[others]).max() < 0.02), driver.reason
     assert falls.positions[0] == pytest.approx(0.8, abs=0.06)
 
     # It works again.

@@ -56,7 +56,7 @@ class Sensed:
     def take(self, target: pp.Target) -> float:
         """Have the arm take a posture; return the true distance of its farthest point from it."""
         self.driver.aim(target)
-        assert self.graph.run(lambda: self.driver.status == "converged", 40.0), self.driver.reason
+        assert self.graph.run(lambda: self.driver.status == "converged"), self.driver.reason
         self.graph.run_for(0.5)
         return self.farthest(target)
 
@@ -120,10 +120,10 @@ def test_an_arm_without_a_third_of_its_encoders_comes_nearer_than_one_that_sags_
 
     # Without any sensor on a link, what is known fades, and the arm holds; with them, it goes on.
     sensed.lose(*lost, *sensed.robot._links.links)
-    assert quiet.run(lambda: "at most 15 mm is allowed" in sensed.driver.reason, 30.0), sensed.told
+    assert quiet.run(lambda: "at most 15 mm is allowed" in sensed.driver.reason), sensed.told
     assert sensed.driver.status == "holding"
     sensed.lose(*lost)
-    assert quiet.run(lambda: sensed.driver.status == "converged", 30.0), sensed.driver.reason
+    assert quiet.run(lambda: sensed.driver.status == "converged"), sensed.driver.reason
     assert sensed.farthest(target) < 0.4 * sagging
     sensed.driver.close()
 
