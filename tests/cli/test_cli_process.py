@@ -52,7 +52,10 @@ STARTED = ("track", "inspect", "generate", "view", "edit")
 # Packages of others, which take longest to import, are there; each child imports this one for itself.
 HELP_OF_ALL = """
 import os, sys
-import numba, pinocchio, scipy.interpolate, scipy.optimize
+import joblib, numba, pinocchio, rich.markdown, tomlkit, typer.rich_utils
+import scipy.interpolate, scipy.spatial.transform
+from pydantic import TypeAdapter
+numba.njit("f8(f8)")(lambda x: x)  # what numba imports when it first compiles
 for verb in sys.argv[1:]:
     child = os.fork()
     if child == 0:
