@@ -185,8 +185,10 @@ def is_ready(kernel: Any) -> bool:
 
 def _cache_file(kernel: Any) -> Any:
     """Return numba's index of a kernel's cache; None without one, or if numba's internals have changed."""
-    cached = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    return cached if hasattr(cached, "_source_stamp") and hasattr(cached, "_load_index") else None
+    cache = getattr(kernel, "_cache", None)
+    cached = getattr(cache, "_cache_file", None)
+    known = hasattr(cached, "_source_stamp") and hasattr(cached, "_load_index") and hasattr(cache, "_impl")
+    return cached if known else None
 
 
 @cache
