@@ -51,12 +51,6 @@ class FeedbackSettings(NamedTuple):
     evades obstacles by its average does not oscillate if the lag is at most a quarter of it (see
     `Feedback`)."""
 
-    reading_time: float = 0.25
-    """Time over which readings are averaged with a velocity interface [s]."""
-
-    noise_time: float = 0.1
-    """Time over which their noise is averaged [s]: the arm arrives the later, the longer it is."""
-
     average_deviations: float = 3.0
     """Change of an average that noise explains, in its standard deviations."""
 
@@ -163,8 +157,7 @@ class FeedbackState(NamedTuple):
     """Result of the feedback of one cycle.
 
     Attributes:
-        state: state from which the next step starts: the command with a position interface, else the
-            measurement; None before the first measurement.
+        state: state from which the next step starts, that of the command; None before the first measurement.
         reason: why the arm must hold; empty if it need not.
         tracking_error: largest distance of a measured joint position from where drives with their lag, or one
             of up to `FEEDBACK.longest_lag`, would be, in `Arm.joint_units`; None without a usable
@@ -195,6 +188,11 @@ class Feedback:
     It stays as well, within noise, while the arm rests short of a target that it cannot take, which would
     otherwise move with the noise of the estimate for ever.
 
+    Drives with a velocity interface come to rest where the command has led them, unless they are disturbed.
+    So no target is compensated, and the command returns to the measured arm with the time constant T. If
+    drives follow velocities with T_s, this does not oscillate for T >= 4 T_s either. Steps from the
+    measurement would have tasks with priority turn the lag into ever larger swings.
+
     A measurement is plausible if a drive could be there: between the command, the command filtered with the
     lag of the drives, and c + b, or within `max_tracking_error` of them.
 
@@ -207,23 +205,24 @@ class Feedback:
         points: last measured control points, (m, 3) [m], world frame; None before the first measurement.
         deviation: their distances from those of the command, (m, 3) [m].
         displacement: displacement of the measured arm from the command, (nv,) [rad or m], averaged over T and
-            constant within the noise of its average; None if it is zero within that, or without feedback of
-            positions.
+            constant within the noise of its average; None if it is zero within that.
         averaging_time: time constant of that average [s].
         noise: change of that average that noise explains, (nv,) [rad or m].
         response: how the drives respond.
         settled: whether the arm is at its target, so that estimates stay as they are.
         falls_short: whether the command is not where it aims, on its way or because it cannot be there.
         lead: what drives are sent beyond the command, so that they follow it, (nv,) [rad or m].
+        compensates: whether targets are compensated; else the command returns to the measured arm.
         limp: degrees of freedom that are not to follow, (nv,): near where they are expected, they are not fed
             back.
 
     Args:
         arm: the arm.
-        time_constant: T [s]; 0 with a velocity interface: each step starts from the measurement.
+        time_constant: T [s]; infinite: no feedback.
         max_tracking_error: see `Tracker`.
         resync_time: see `Tracker`.
         drives: how the drives follow; None: unknown.
+        velocities: whether they take velocities, not positions.
     """
 
     def __init__(
@@ -233,8 +232,10 @@ class Feedback:
         max_tracking_error: float | None,
         resync_time: float,
         drives: DriveModel | None = None,
+        velocities: bool = False,
     ) -> None:
         self.arm = arm
+        self.compensates = not velocities
         self.state: ArmState | None = None
         self.positions: Array | None = None
         self.measured: Array | None = None
@@ -255,7 +256,7 @@ class Feedback:
             allowed = max(drives.tracking_error / unit, DRIVE_RESPONSE.lead_margin)
             lead = DRIVE_RESPONSE.lead_factor * drives.starting_lead / unit + DRIVE_RESPONSE.lead_margin
         self._max_difference = allowed if max_tracking_error is None else max_tracking_error
-        self.response = DriveResponse(arm, lead, time_constant > 0.0)
+        self.response = DriveResponse(arm, lead, self.compensates)
         self._patience = resync_time
         self._deviating: Array | None = None
         self._failing: dict[tuple[int, str], float] = {}
@@ -277,11 +278,6 @@ class Feedback:
         """The estimate of b, (nv,) [rad or m]."""
         return self._offset
 
-    @property
-    def compensates(self) -> bool:
-        """Whether steps start from the command, and targets are compensated; else from measurements."""
-        return self._time_constant > 0.0
-
     def _forget(self, positions: Array) -> None:
         """Forget all estimates, with the command at joint positions (nv,)."""
         self._offset = np.zeros(self.arm.nv)
@@ -296,8 +292,6 @@ class Feedback:
         self.noise = np.zeros(self.arm.nv)
         self._steady_at = np.zeros(self.arm.nv)
         self._steady_for = 0.0
-        self._left = np.zeros(self.arm.nv)
-        self._variances = np.zeros(self.arm.nv)
 
     def restart(self, measured: Measurement, moving: bool = False) -> None:
         """Start from a measurement, at rest or not, and forget all estimates."""
@@ -375,11 +369,10 @@ class Feedback:
 
     def _watch(self, positions: Array, dt: float) -> None:
         """Watch the response of the drives to the command, or to the steps with a velocity interface."""
-        velocities = self._time_constant == 0.0
-        sent = self._sent if velocities else cast(Array, self.positions) + self.lead
+        sent = cast(Array, self.positions) + self.lead if self.compensates else self._sent
         stopped = self.response.stopped
         self.response.update(positions, sent, cast(Array, self.positions) + self._offset, dt)
-        if velocities:
+        if not self.compensates:
             self._sent = np.where(self.response.history.standing <= dt, positions, self._sent)
         if not stopped.any() and self.response.stopped.any():
             self._held = None
@@ -539,16 +532,16 @@ class Feedback:
         self, measured: Measurement, difference: Array, measured_points: Array | None, dt: float
     ) -> Array:
         """Low-pass filter the estimates; return the measured control points, (m, 3) [m]."""
-        share = 1.0 if self._time_constant == 0.0 else 1.0 - exp(-dt / self._time_constant)
+        share = 1.0 - exp(-dt / self._time_constant)
         expected = cast(ArmState, self.state).chain_state.points
-        if self._time_constant == 0.0:
-            change = self._change_beyond_noise(difference, dt)
+        if not self.compensates:
+            change = share * difference
             positions = None if measured.positions is None else cast(Array, self.positions) + change
             self._move_to(Measurement(self.arm.integrate(self.command, change), positions))
-        else:
-            self._average(difference, dt)
-            if not self.settled:
-                self._estimate(difference, share)
+            difference = difference - change
+        self._average(difference, dt)
+        if self.compensates and not self.settled:
+            self._estimate(difference, share)
         points = np.array(self.arm.chain_at(measured.q).points)
         off = np.zeros_like(points)
         if measured_points is not None:
@@ -575,25 +568,6 @@ class Feedback:
             if np.all((np.abs(off) <= same) | (shares == 0.0)):
                 return
         self._offset = np.clip(self._offset + shares * (difference - self._offset), -most, most)
-
-    def _change_beyond_noise(self, difference: Array, dt: float) -> Array:
-        """Return how far the arm is from where its last step led it, beyond noise, (nv,) [rad or m].
-
-        If each step began at the noise of a reading, tasks of priority would follow that, with all that the
-        limits of acceleration leave, and the arm would wander. The average of what is left has less noise.
-        """
-        share = 1.0 - exp(-dt / FEEDBACK.noise_time)
-        self._variances += share * (0.5 * (difference - self._left) ** 2 - self._variances)
-        # The first holds while drives lag behind steps; the second where readings are repeated, too.
-        variances = np.minimum(self.response.history.variances, self._variances)
-        noise = FEEDBACK.average_deviations * np.sqrt(variances)
-        change = difference - np.clip(difference, -noise, noise)
-        share = 1.0 - exp(-dt / FEEDBACK.reading_time)
-        self._displacement += share * (difference - change - self._displacement)
-        noise *= np.sqrt(share / (2.0 - share))
-        change += share * (self._displacement - np.clip(self._displacement, -noise, noise))
-        self._left = difference - change
-        return np.asarray(change)
 
     def _average(self, difference: Array, dt: float) -> None:
         """Average the displacement of the measured arm from the command."""

@@ -162,8 +162,7 @@ class Tracker:
         scene: as for `track`.
         interface: command type of the drives: "position" or "velocity".
         feedback_time_constant: time constant of the feedback of the tracking error [s]. It must be several
-            times the delay of the drives, or the loop oscillates. Only for the position interface; infinite:
-            no feedback.
+            times the delay of the drives, or the loop oscillates. Infinite: no feedback.
         max_tracking_error: distance of a measured joint position from where its drive could be, above which
             the arm holds without feedback, in `Arm.joint_units`; also the largest compensation. None: what
             `drives` explain (`DriveModel.tracking_error`), at least 0.05; if they are unknown, 0.3 from
@@ -258,10 +257,11 @@ class Tracker:
         self._loop = Loop(arm.at(arm.neutral()), inner, SmoothSteps(arm, inner))
         self._feedback = Feedback(
             arm,
-            feedback_time_constant if interface == "position" else 0.0,
+            feedback_time_constant,
             max_tracking_error,
             resync_time,
             drives,
+            velocities=interface == "velocity",
         )
         self._arrival = Arrival(arm.length)
         self._pursuit = Blockage(arm, self._feedback.averaging_time)
@@ -666,7 +666,7 @@ class Tracker:
             return
         step = decision.step
         limited = step is not None and bool(step.near) and not step.following_path
-        known = self._feedback.compensates and displacement is not None and self.scene is not None
+        known = displacement is not None and self.scene is not None
         distances = None
         if known and self.scene is not None and not self.scene.velocities:
             distance = self.scene.margin
@@ -908,7 +908,7 @@ class Tracker:
         words: list[str] = []
         if self._smoothing.active:
             words += self._describe_clearance(CollisionModel(self.arm, self.scene).minimum(sent.q))
-        if measured is not None and self._feedback.compensates and self._may_be_close(measured):
+        if measured is not None and self._may_be_close(measured):
             model = CollisionModel(self.arm, self.scene)
             closest = model.minimum(self.arm.configuration(measured))
             self._clearance = (self.scene, measured, closest)

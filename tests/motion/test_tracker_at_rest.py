@@ -124,6 +124,31 @@ def test_velocities_lead_a_tip_to_its_pose_through_noise(arm: pp.Arm, noise: flo
 
 @pytest.mark.long
 @pytest.mark.parametrize("noise", [0.0, 3e-4])
+@pytest.mark.parametrize("lag", [0.05, 0.1])
+def test_drives_that_lag_behind_velocities_lead_a_tip_to_its_pose(
+    arm: pp.Arm, lag: float, noise: float
+) -> None:
+    goal = np.random.default_rng(2).uniform(-0.4, 0.4, arm.nv)
+    tip = pp.EndEffector.held(arm.at(goal), priority=True)
+    slow = max(0.25, 4.0 * lag)
+    controller = pp.Geodesic(tasks=(tip,))
+    tracker = Tracker(arm, controller, LIMITS, interface="velocity", feedback_time_constant=slow)
+    tracker.update(Target.from_configuration(arm, goal))
+    rng = np.random.default_rng(7)
+    q = np.zeros(arm.nv)
+    moves = np.zeros(arm.nv)
+    passed = []
+    for _ in range(700):
+        moves += 0.01 / lag * (tracker.step(q + noise * rng.normal(size=arm.nv)) - moves)
+        q = q + moves
+        passed.append(q)
+    assert tracker.report.status == "converged"
+    assert np.ptp(passed[600:], axis=0).max() <= 1e-4 + noise
+    np.testing.assert_allclose(q, goal, atol=1e-3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
 def test_an_arm_that_holds_its_tip_rests(arm: pp.Arm, calls: Counter[str], noise: float) -> None:
     goal = np.random.default_rng(2).uniform(-0.4, 0.4, arm.nv)
     held = pp.EndEffector.held(arm.at(goal), priority=True)
