@@ -68,17 +68,16 @@ class RelaxationSettings(NamedTuple):
     """Smallest number of samples of each of its pieces."""
 
     set_changes: int = 8
-    """Largest number of corrections of the active set in a step of all waypoints. Without a guess it takes 5
-    to 8; with three, steps are 0.5 times their length off in the median, and leave kinks."""
+    """Number of corrections of the active set in a step of all waypoints. It takes 5 to 8; with three, steps
+    are 0.5 times their length off in the median, and leave kinks."""
 
     conjugate_steps: int = 60
     """Largest number of conjugate gradient iterations for a step of all waypoints."""
 
-    conjugate_residual: float = 0.05
+    conjugate_residual: float = 0.1
     """Residual at which these end with the first active set, in the norm of the preconditioner, relative to
-    the root of what the step gains. Corrections of the set end where what they would change is as small. With
-    0.1, motions last 1.05 times as long (`docs/design/relaxation.md`). Relative to the residual of no step,
-    they ended at once where that is large by rows of tasks, which the preconditioner does not know."""
+    the root of what the step gains. Relative to the residual of no step, they ended at once, with 0.1 of what
+    they could gain, where that is large by rows of tasks, which the preconditioner does not know."""
 
 
 RELAXATION = RelaxationSettings()
@@ -405,8 +404,7 @@ def step_waypoints(
         x: displacements of waypoints, (N + 1, n).
         rows: additional equations on the path.
         contacts: contacts to avoid.
-        steps: a guess of the step of each waypoint, (N + 1, n), zero if there is none; replaced by the
-            step, zero at the ends. The guess also tells which contacts count at first.
+        steps: filled with the step of each waypoint, (N + 1, n); zero at the ends.
 
     Returns:
         Number of iterations; -1 if the step is not finite.
@@ -448,24 +446,17 @@ def step_waypoints(
     single_ways = ways.astype(np.float32)
     factor = _Factor(diagonals, before, after, gains, free, single_screws, single_ways)
     size = weight, damping * typical
-    active = np.empty(len(contacts.errors), dtype=np.bool_)
+    active = contacts.errors > 0.0
     wrenches = np.zeros((len(active), 2, 6))
     values = np.empty(len(active))
     twists = np.empty((n + 1, 6))
+    for i in range(1, last):
+        _find_wrenches(contacts, i, own_ends, points[i], wrenches)
     total = 0
     aim = 0.0
     moves = np.zeros((chunks, n + 3 * m, LANES))
     right = np.zeros((chunks, n, LANES))
-    steps[0] = 0.0
-    steps[last] = 0.0
-    for i in range(1, last):
-        _find_wrenches(contacts, i, own_ends, points[i], wrenches)
-        _move_contacts(contacts, wrenches, i, (screws[i], own_ends, points[i]), steps[i], twists, values)
-        chunk, lane = _place_of(i, chunks)
-        for u in range(n):
-            moves[chunk, u, lane] = steps[i, u]
-    for row in range(len(active)):
-        active[row] = contacts.errors[row] > values[row]
+    steps[:] = 0.0
     for _ in range(RELAXATION.set_changes):
         every = _join_rows(rows, contacts, wrenches, active, (screws, own_ends, points))
         downhill = -slope
@@ -484,6 +475,7 @@ def step_waypoints(
         _factor_all(chains, size, factor, (contacts, wrenches, active))
         count, aim = _solve_by_conjugate_gradients(chains, every, size, factor, right, moves, aim)
         total += count
+        changed = False
         for i in range(1, last):
             chunk, lane = _place_of(i, chunks)
             for u in range(n):
@@ -491,13 +483,11 @@ def step_waypoints(
                 if not np.isfinite(steps[i, u]):
                     return -1
             _move_contacts(contacts, wrenches, i, (screws[i], own_ends, points[i]), steps[i], twists, values)
-        missed = 0.0
-        for row in range(len(active)):
-            missing = contacts.errors[row] - values[row]
-            if active[row] != (missing > 0.0):
-                active[row] = not active[row]
-                missed += missing**2
-        if missed <= aim:
+            for row in range(contacts.begins[i], contacts.begins[i + 1]):
+                counts = contacts.errors[row] > values[row]
+                changed = changed or counts != active[row]
+                active[row] = counts
+        if not changed:
             break
     return total
 
@@ -759,8 +749,8 @@ def _solve_by_conjugate_gradients(
         size: weight and damping.
         factor: the preconditioner.
         right: right-hand side, (chunks, n, lanes).
-        moves: motions to begin with, of joints only, which are scaled to gain most; improved.
-        aim: size of the residual at which to end; 0: it is a share of what the motions gain.
+        moves: motions to begin with, of joints only; improved.
+        aim: size of the residual at which to end; 0: the motions are zero, it is a share of what they gain.
 
     Returns:
         Number of iterations, and that size.
@@ -769,25 +759,22 @@ def _solve_by_conjugate_gradients(
     product = np.empty(moves.shape)
     forces = np.empty(moves.shape, np.float32)
     solved = np.empty(moves.shape, np.float32)
-    if _inner(right, moves, moves) > 0.0:
+    if aim > 0.0:
         for chunk in range(len(moves)):
             move_lanes((chains[0], chains[1][chunk], chains[2][chunk]), moves[chunk])
         _multiply(chains, rows, size, factor.free, moves, product)
-        length = _inner(right, moves, right) / _inner(right, moves, product)
-        moves *= length
-        _add(residual, -length, product)
+        _add(residual, -1.0, product)
     _precondition(chains[0], size[0], factor, residual, forces, solved)
     direction = solved.astype(np.float64)
     amount = _inner(right, residual, solved)
     first = aim == 0.0
     for number in range(RELAXATION.conjugate_steps):
-        if first:
-            gain = _inner(right, moves, right) + _inner(right, moves, residual)
-            aim = RELAXATION.conjugate_residual**2 * gain
         if not amount > aim:
             return number, aim
         _multiply(chains, rows, size, factor.free, direction, product)
         length = amount / _inner(right, direction, product)
+        if first:
+            aim += RELAXATION.conjugate_residual**2 * length * amount
         _add(moves, length, direction)
         _add(residual, -length, product)
         _precondition(chains[0], size[0], factor, residual, forces, solved)

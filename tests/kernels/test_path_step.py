@@ -58,15 +58,14 @@ class Problem:
             waypoints=rng.integers(1, pieces, 3),
         )
 
-    def step(self, guess: np.ndarray | None = None) -> np.ndarray:
-        """What the kernel finds from a guess, or from none, (N + 1, n)."""
+    def step(self) -> np.ndarray:
+        """What the kernel finds, (N + 1, n)."""
         constants = self.arm.kinematics.constants
-        steps = np.zeros_like(self.x) if guess is None else guess.copy()
+        steps = np.full_like(self.x, np.nan)
         ends = np.array(self.arm.kinematics.ends, dtype=np.int64)
         given = constants, np.arange(self.n), ends, np.ones(self.n), self.arm.positions(self.start)
         path = PathProblem(*given, *self.bounds, WEIGHT)
-        self.iterations = kernels.step_waypoints(path, DAMPING, self.x, self.rows, self.contacts, steps)
-        assert self.iterations >= 0
+        assert kernels.step_waypoints(path, DAMPING, self.x, self.rows, self.contacts, steps) > 0
         assert not steps[0].any()
         assert not steps[-1].any()
         return steps
@@ -232,12 +231,6 @@ def test_a_step_finds_which_contacts_count_after_it(seed: int) -> None:
     for _ in range(50):
         whole = np.linalg.solve(*problem.equations(left(best) > 0.0)) - best
         best = min((best + 0.5**k * whole for k in range(20)), key=model)
+    found = model(problem.step()[1:-1].ravel())
     start = model(np.zeros(len(right)))
-    guess = np.zeros_like(problem.x)
-    guess[1:-1] = best.reshape(-1, problem.n)
-    needed = {}
-    for share in (0.0, 1.0, 0.5, -1.0, 100.0):  # of a guess
-        found = model(problem.step(share * guess)[1:-1].ravel())
-        assert start - found >= 0.97 * (start - model(best))
-        needed[share] = problem.iterations
-    assert needed[1.0] <= 0.1 * needed[0.0]
+    assert start - found >= 0.97 * (start - model(best))

@@ -141,10 +141,8 @@ class ObstacleRelaxationSettings(NamedTuple):
     pieces_of_given: tuple[int, ...] = (32, 64, 128, 256)
     """Number of pieces of a path that is given, the first with which it is still clear."""
 
-    iterations: int = 12
-    """Number of Gauss-Newton steps after which a path that is not clear is abandoned. Of 130 paths from a
-    guess that became clear (corners, balls, two or three balls beside arms of 3 to 10 modules), one did in
-    step 12 and all others within 8; `make study STUDY=clutter` guards it."""
+    iterations: int = 30
+    """Number of Gauss-Newton steps after which a path that is not clear is abandoned."""
 
     patient_iterations: int = 6
     """Number of steps after which it is abandoned if the energy exceeds a share of the initial one."""
@@ -260,7 +258,7 @@ def direct_path(
     else:
         guess = waypoints.interpolate(change, bend, AMONG_OBSTACLES.pieces)
         descent = DESCENTS.from_guess if penalties.tasks is None else DESCENTS.with_tasks
-        relaxed, _ = _PathRelaxation(waypoints, penalties).run(guess, descent, clear=False)
+        relaxed = _PathRelaxation(waypoints, penalties).run(guess, descent)
     pieces = len(relaxed) - 1
     finer = max(STAGING.refinement, STAGING.least_pieces // pieces) * pieces
     smooth = waypoints.refine(relaxed, finer) if pieces > 1 else relaxed
@@ -291,22 +289,19 @@ def relax_path(
     x = waypoints.space(offsets, few)
     descent = DESCENTS.fine
     if coarse.is_clear(x):
-        relaxed, kept = coarse.run(x, DESCENTS.coarse, clear=True)
+        relaxed = coarse.run(x, DESCENTS.coarse)
         x = waypoints.space(objective.displacement(relaxed), AMONG_OBSTACLES.pieces)
-        clear = fine.is_clear(x)
-        if not clear:
+        if not fine.is_clear(x):
             x = waypoints.divide(relaxed)
-            clear = kept
     else:
         descent = DESCENTS.whole
         for pieces in AMONG_OBSTACLES.pieces_of_given[1:]:
             x = waypoints.space(offsets, pieces)
-            clear = fine.is_clear(x)
-            if clear:
+            if fine.is_clear(x):
                 break
-    relaxed, kept = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent, clear=clear)
+    relaxed = _PathRelaxation(waypoints, penalties.for_pieces(len(x) - 1)).run(x, descent)
     # Where x is clear, but bounding capsules may be too close, it is not kept so.
-    if descent is DESCENTS.fine and not (kept or fine.is_clear(relaxed)):
+    if descent is DESCENTS.fine and not fine.is_clear(relaxed):
         relaxed = x
     smooth = waypoints.refine(relaxed, STAGING.refinement * (len(relaxed) - 1))
     first, second = (JointPath(objective, start.q, objective.displacement(x)) for x in (smooth, relaxed))
@@ -376,11 +371,9 @@ class _Waypoints:
             STAGING.kept_ratio,
         )
 
-    def step(
-        self, x: Array, damping: float, rows: PathRows, contacts: PathContacts, guess: Array
-    ) -> Array | None:
+    def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
         """Return a damped Gauss-Newton step of all waypoints, (N + 1, n); None if it is not finite."""
-        steps = guess.copy()
+        steps = np.empty_like(x)
         status = kernels.step_waypoints(self._problem, damping, x, rows, contacts, steps)
         return steps if status >= 0 else None
 
@@ -415,7 +408,6 @@ class _Iterate(NamedTuple):
             bodies miss clearance in every configuration, which hides what tasks still miss.
         near: the same pairs, at all waypoints; None without obstacles.
         lowest: smallest distance at both ends of each piece, or any larger number if it is large, (N,) [m].
-        checked: whether `clear` tells what is between the ends of pieces.
     """
 
     x: Array
@@ -427,7 +419,6 @@ class _Iterate(NamedTuple):
     scale: float
     near: Contacts | None
     lowest: Array
-    checked: bool = False
 
 
 class _PathRelaxation:
@@ -445,7 +436,6 @@ class _PathRelaxation:
         self._positions = waypoints.positions
         self._weight = waypoints.weight
         self._lower, self._upper = waypoints.within
-        self._kept = False  # whether pieces stay clear from the start
 
     def is_clear(self, x: Array) -> bool:
         """Return whether straight motions between waypoints, (N + 1, n), keep the smallest distance."""
@@ -453,21 +443,12 @@ class _PathRelaxation:
         path = self._objective.displacement(x)
         return avoidance is None or avoidance.keeps(self._start, path, self._penalties.least)
 
-    def run(self, x: Array, descent: Descent, *, clear: bool) -> tuple[Array, bool]:
-        """Return waypoints at a minimum, (N + 1, n), and whether the path through them was kept clear.
-
-        Args:
-            x: an initial guess within the limits, (N + 1, n).
-            descent: how steps go.
-            clear: whether the guess is known to be clear. What is clear of it by bounding capsules, too, then
-                stays so. Another guess stays clear once all of it is.
-        """
-        self._kept = clear
-        now = self._checked(self._evaluate(x), np.full(len(x) - 1, clear))
+    def run(self, x: Array, descent: Descent) -> Array:
+        """Return waypoints at a minimum, (N + 1, n), from an initial guess within the limits."""
+        now = self._checked(self._evaluate(x))
         damping = descent.damping
         reach = AMONG_OBSTACLES.first_reach
         first = now.energy
-        left = np.zeros_like(x)  # what is left of the last step, a guess of the next
         for number in range(descent.steps):
             slow = (
                 number >= AMONG_OBSTACLES.patient_iterations
@@ -476,7 +457,7 @@ class _PathRelaxation:
             hopeless = (slow or number >= AMONG_OBSTACLES.iterations) and not now.clear.all()
             if hopeless or damping > AMONG_OBSTACLES.most_damping or perf_counter() >= self._penalties.until:
                 break
-            step = self._waypoints.step(now.x, damping, now.rows, now.contacts, left)
+            step = self._step(now, damping)
             size = inf if step is None else float(np.abs(step).max())
             share = min(1.0, reach / max(size, 1e-300))
             tried = None
@@ -484,12 +465,9 @@ class _PathRelaxation:
             while step is not None and tried is None and halvings <= AMONG_OBSTACLES.halvings:
                 tried = self._move(now, 0.5**halvings * share * step)
                 halvings += 1
-            if step is None or tried is None:
-                left = np.zeros_like(x) if step is None else step
+            if tried is None:
                 damping *= AMONG_OBSTACLES.damping_increase
                 continue
-            # With rows of tasks there is no guess: with one, sagging arms with a tip task never rested.
-            left = np.zeros_like(x) if len(now.rows.errors) else now.x + step - tried.x
             # On a parabola, a part s of the step to the minimum gains s (2 - s) of what the whole one does.
             whole_fall = (now.energy - tried.energy) / (share * (2.0 - share))
             converged = halvings == 1 and whole_fall < descent.converged * now.scale
@@ -504,31 +482,26 @@ class _PathRelaxation:
                 damping = max(damping * AMONG_OBSTACLES.damping_decrease, AMONG_OBSTACLES.least_damping)
             if converged:
                 break
-        return now.x, bool(now.clear.all())
+        return now.x
 
     def _move(self, now: _Iterate, step: Array) -> _Iterate | None:
-        """Return the path after a step, (N + 1, n), zero at the ends; None if the energy does not fall.
+        """Return the path after a step of the inner waypoints, (N - 1, n); None if the energy does not fall.
 
-        On a path that is kept clear, waypoints beside a piece that would no longer be clear stay; None if
-        that fails, too.
+        On a clear path, waypoints beside a piece that would no longer be clear stay; None if that fails, too.
         """
-        moved = now.x + step
-        moved[1:-1] = np.minimum(np.maximum(moved[1:-1], self._lower), self._upper)
-        checked = np.zeros(len(now.clear), dtype=np.bool_)
+        moved = now.x.copy()
+        moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, self._lower), self._upper)
         for _ in range(AMONG_OBSTACLES.held_back):
             tried = self._evaluate(moved)
             if tried.energy >= now.energy:
                 return None
-            still = (moved == now.x).all(axis=1)
-            tried = self._checked(tried, checked | (now.checked & now.clear & still[:-1] & still[1:]))
-            lost = now.clear & ~tried.clear
-            if not lost.any() or not (self._kept or now.clear.all()):
+            tried = self._checked(tried, now)
+            if tried.clear.all() or not now.clear.all():
                 return tried
             beside = np.zeros(len(moved), dtype=np.bool_)
-            beside[:-1] |= lost
-            beside[1:] |= lost
+            beside[:-1] |= ~tried.clear
+            beside[1:] |= ~tried.clear
             moved[beside] = now.x[beside]
-            checked = tried.checked & tried.clear & ~beside[:-1] & ~beside[1:]
         return None
 
     def _evaluate(self, x: Array) -> _Iterate:
@@ -547,21 +520,25 @@ class _PathRelaxation:
         clear = lowest >= self._penalties.least
         return _Iterate(x, points, rows, contacts, clear, energy + missing, scale, near, lowest)
 
-    def _checked(self, now: _Iterate, known: NDArray[np.bool_]) -> _Iterate:
-        """Return waypoints with the pieces that are clear; those known to be, (N,), are not checked again."""
+    def _checked(self, now: _Iterate, before: _Iterate | None = None) -> _Iterate:
+        """Return waypoints with the pieces that are clear; those of a clear path before need no check."""
         avoidance = self._penalties.avoidance
         if avoidance is None:
             return now
         least = self._penalties.least
         offsets = self._objective.displacement(now.x)
         clear = now.clear & avoidance.keeps_constraints(self._start, offsets)
-        if now.near is None or not (self._kept or clear.all()):
+        if not clear.all() or now.near is None:
             return now._replace(clear=clear)
+        known = np.zeros(len(clear), dtype=np.bool_)
+        if before is not None and before.clear.all():
+            still = (now.x == before.x).all(axis=1)
+            known = still[:-1] & still[1:]
         # A piece is clear if its ends are much nearer to each other than to obstacles.
         moved = np.sqrt((np.diff(now.points, axis=0) ** 2).sum(axis=2).max(axis=1))
-        doubtful = (now.lowest - least < 2.0 * moved) & ~known & clear
+        doubtful = (now.lowest - least < 2.0 * moved) & ~known
         kept = avoidance.clearance.keep_distance(self._start, offsets, least, doubtful, now.near)
-        return now._replace(clear=clear & (~doubtful | kept), checked=True)
+        return now._replace(clear=~doubtful | kept)
 
     def _rows(self, offsets: Array) -> PathRows:
         """Return the rows of tasks and of constraints at the inner waypoints."""
@@ -614,3 +591,8 @@ class _PathRelaxation:
         )
         minima = np.concatenate([[inf], clearance.minima[1:-1], [inf]])
         return contacts, clearance.contacts, np.minimum(minima[:-1], minima[1:])
+
+    def _step(self, now: _Iterate, damping: float) -> Array | None:
+        """Return the damped step of the inner waypoints, (N - 1, n); None if it fails."""
+        steps = self._waypoints.step(now.x, damping, now.rows, now.contacts)
+        return None if steps is None else steps[1:-1]
