@@ -11,14 +11,10 @@ demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
 
 # Two or more processes share the tests, so each has one thread for its matrices.
-WORKERS := auto
-PYTEST = OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n $(WORKERS) --maxprocesses 6 --dist worksteal
+PYTEST := OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --maxprocesses 6 --dist worksteal
 
 test: $(VENV)/test.stamp
 	$(PYTEST) $(ARGS)
-
-# Long tests wait half of their time, for robots, browsers and processes: one more at a time than there are cores.
-test-all test-rest: WORKERS := $$(( $$(getconf _NPROCESSORS_ONLN) + 1 ))
 
 # Everything, with many and random examples; what needs a browser is skipped where there is no Chromium.
 test-all: $(VENV)/test-all.stamp

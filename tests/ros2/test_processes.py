@@ -21,9 +21,21 @@ pytest.importorskip("mujoco")
 pytestmark = pytest.mark.process
 
 
+def set_to(graph: Any, node: Any, name: str, value: Any) -> Any:
+    """Set a parameter of a node, by an `AsyncParameterClient`, and return the result."""
+    from rclpy.parameter import Parameter
+
+    assert graph.run(node.services_are_ready)
+    answer = node.set_parameters([Parameter(name, value=value)])
+    assert graph.run(answer.done)
+    return answer.result().results[0]
+
+
 def test_two_processes_move_a_soft_arm_to_a_curve_and_end_well(
     graph: Any, arm_file: Path, tmp_path: Path
 ) -> None:
+    from rclpy.parameter_client import AsyncParameterClient
+
     arm = pp.Arm.load(arm_file)
     curve = pp.Curve.helix(0.2, 0.0, 0.25)
     curve.save(tmp_path / "bow.json")
@@ -48,7 +60,9 @@ def test_two_processes_move_a_soft_arm_to_a_curve_and_end_well(
         assert graph.run(there), watch.status
         assert graph.run(lambda: watch.status.level == b"\x00" and watch.value("target") == "given")
 
-        # In the middle of a motion: it brakes, holds, and leaves.
+        # In the middle of a motion that takes long: it brakes, holds, and leaves.
+        driver_says = AsyncParameterClient(watch.node, "/pinposture")
+        assert set_to(graph, driver_says, "velocity", 0.03).successful
         pp.Curve.line((0, 0, 0), (0.3, 0, 0)).save(tmp_path / "line.json")
         elsewhere = arm.at(arm.straight())
         begin = watch.points
@@ -72,7 +86,6 @@ def test_two_processes_move_a_soft_arm_to_a_curve_and_end_well(
 def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_sticks(
     graph: Any, arm_file: Path, tmp_path: Path
 ) -> None:
-    from rclpy.parameter import Parameter
     from rclpy.parameter_client import AsyncParameterClient
 
     arm = pp.Arm.load(arm_file)
@@ -95,18 +108,14 @@ def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_
         robot_says = AsyncParameterClient(watch.node, "/robot")
         driver_says = AsyncParameterClient(watch.node, "/pinposture")
 
-        def set_to(client: Any, name: str, value: Any) -> Any:
-            assert graph.run(client.services_are_ready)
-            answer = client.set_parameters([Parameter(name, value=value)])
-            assert graph.run(answer.done)
-            return answer.result().results[0]
-
-        refused = set_to(driver_says, "retreat", True)
+        refused = set_to(graph, driver_says, "retreat", True)
         assert not refused.successful and "no joint is locked" in refused.reason
-        assert "no joint of the chain is called 'elbow'" in set_to(driver_says, "locked", "elbow").reason
+        assert (
+            "no joint of the chain is called 'elbow'" in set_to(graph, driver_says, "locked", "elbow").reason
+        )
         column = 3
         stuck = arm.drives.names[column]
-        assert set_to(robot_says, "stuck", stuck).successful
+        assert set_to(graph, robot_says, "stuck", stuck).successful
         target = watch.aim(-0.3)
         words = f"joint '{stuck}' does not follow its command"
         assert graph.run(lambda: words in watch.status.message), watch.status
@@ -134,14 +143,14 @@ def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_
         assert error() > foretold - 1e-3
 
         # Out, by the way that it came; then with the joint again.
-        assert set_to(driver_says, "retreat", True).successful
+        assert set_to(graph, driver_says, "retreat", True).successful
         others = np.arange(arm.nv) != column
         assert graph.run(lambda: np.abs(watch.positions[others]).max() < 0.02), watch.status
         assert watch.positions[column] == pytest.approx(float(at), abs=5e-3)
-        assert set_to(driver_says, "retreat", False).successful
+        assert set_to(graph, driver_says, "retreat", False).successful
         mend = [sys.executable, EXAMPLES / "set_parameter.py", "/robot", "stuck", ""]
         subprocess.run(mend, env=os.environ | environment(tmp_path), check=True, timeout=60)
-        assert set_to(driver_says, "locked", "").successful
+        assert set_to(graph, driver_says, "locked", "").successful
         assert graph.run(lambda: not watch.value("locked joints")), watch.status
         watch.aim(-0.3)
         assert graph.run(lambda: np.abs(watch.positions + 0.3).max() < 0.01), watch.status
