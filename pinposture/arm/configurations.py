@@ -11,7 +11,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, float_array, make_read_only
+from pinposture._validation import (
+    LARGEST_COORDINATE,
+    finite_vector,
+    float_array,
+    make_read_only,
+    require_finite,
+)
 from pinposture.errors import InvalidValue, warn_caller
 from pinposture.kernels.arrays import FULL_TURN
 
@@ -163,10 +169,14 @@ class ConfigurationSpace:
     def difference(self, start: Array, end: Array) -> Array:
         """Return the joint displacement (nv,) [rad or m] from one configuration (nq,) to another.
 
-        Continuous joints take the shorter direction.
+        Continuous joints take the shorter direction. For configurations (k, nq), at either end or at both, it
+        returns displacements (k, nv).
         """
         if self._flat:
             return np.asarray(end - start)
+        if start.ndim == 2 or end.ndim == 2:
+            pairs = zip(*np.broadcast_arrays(start, end), strict=True)
+            return np.array([self.difference(one, other) for one, other in pairs]).reshape(-1, self.nv)
         displacement = np.array(pin.difference(self.model, start, end))
         for at, dof in self._continuous:
             # Pinocchio computes the angle from its cosine, which loses half the digits near pi.
@@ -204,11 +214,8 @@ class ConfigurationSpace:
         Raises:
             InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
         """
-        try:
-            checked = finite_vector(name, q, self.nq)
-        except InvalidValue:
-            self.of_right_size(q, name)
-            raise
+        checked = self.of_right_size(q, name)
+        require_finite(name, checked, LARGEST_COORDINATE)
         if not self._flat and not pin.isNormalized(self.model, checked, 1e-6):
             allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
             raise InvalidValue(name, q, allowed)

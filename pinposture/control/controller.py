@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import LARGEST_COORDINATE, is_whole, require_instance
+from pinposture._validation import LARGEST_COORDINATE, is_whole
 from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits, require_limits
 from pinposture.errors import ControllerError, InvalidValue, PostureError
@@ -164,18 +164,24 @@ class Controller(Protocol):
         """
 
 
-def require_step_arguments(state: ArmState, target: Target, memory: object = None) -> None:
-    """Raise InvalidValue if an argument of a step has the wrong type, or the target does not fit the arm."""
-    require_instance("state", state, ArmState, "an ArmState, as `arm.at(q)` returns it")
-    require_instance("target", target, Target, "a Target, as `resolve_targets` returns it")
+def checked_limits(state: ArmState, target: Target, limits: Limits | None, memory: object = None) -> Limits:
+    """Return the limits of a step, `Limits()` for None; the arguments are those of `Controller.step`.
+
+    Raises:
+        InvalidValue: an argument has the wrong type, or the target or the memory does not fit the arm.
+    """
+    if not isinstance(state, ArmState):
+        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+    if not isinstance(target, Target):
+        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
     check_numbers(target, state.arm)
-    if memory is None:
-        return
-    if not isinstance(memory, Memory):
-        raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
-    if not _is_displacement(memory.dq, state.arm.nv):
-        allowed = f"the previous step, an array of {state.arm.nv} finite numbers"
-        raise InvalidValue("memory.dq", memory.dq, allowed)
+    if memory is not None:
+        if not isinstance(memory, Memory):
+            raise InvalidValue("memory", memory, "`step.memory` of the previous step, or None")
+        if not _is_displacement(memory.dq, state.arm.nv):
+            allowed = f"the previous step, an array of {state.arm.nv} finite numbers"
+            raise InvalidValue("memory.dq", memory.dq, allowed)
+    return require_limits(limits)
 
 
 def task_errors(state: ArmState, target: Target) -> Array:

@@ -47,6 +47,7 @@ def controller_named(controller: str | Controller) -> Controller:
         UnknownName: no controller has that name, or the module has no such attribute.
         InvalidValue: neither a name nor a controller; the import fails; or the call creates no controller.
     """
+    made: object = controller
     if isinstance(controller, str):
         make = CONTROLLERS.get(controller) or _found(controller)
         try:
@@ -54,16 +55,11 @@ def controller_named(controller: str | Controller) -> Controller:
         except TypeError as error:
             allowed = f"a class or function that can be called without arguments ({error})"
             raise InvalidValue("controller", controller, allowed) from error
-        return _checked(made, controller)
-    return _checked(controller, controller)
-
-
-def _checked(made: object, told: object) -> Controller:
     allowed = "a name, package.module:Class, or an object with a `name` and a method `step`"
     if isinstance(made, type):
-        raise InvalidValue("controller", told, f"{allowed}, such as {made.__name__}()")
+        raise InvalidValue("controller", controller, f"{allowed}, such as {made.__name__}()")
     if not (isinstance(getattr(made, "name", None), str) and callable(getattr(made, "step", None))):
-        raise InvalidValue("controller", told, allowed)
+        raise InvalidValue("controller", controller, allowed)
     return cast(Controller, made)
 
 

@@ -150,8 +150,9 @@ def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
     """
     require_instance("arm", arm, Arm, "an Arm")
     rows = finite_array("q", q, (None, arm.nq))
-    checked = [arm.checked(row, f"q[{k}]") for k, row in enumerate(rows)]
-    positions = np.array([arm.difference(arm.origin, row) for row in checked])
+    for k, row in enumerate(rows):
+        arm.checked(row, f"q[{k}]")
+    positions = arm.difference(arm.origin, rows)
     for joint in list(arm.model.joints)[1:]:
         if joint.nv == 1 and joint.nq > 1:
             positions[:, joint.idx_v] = np.unwrap(positions[:, joint.idx_v])
@@ -565,9 +566,7 @@ class JointTrajectory:
         moved = self.driven(arm)
         positions = arm.drives.joint_positions(moved.positions)
         rows = np.array([arm.configuration(row) for row in positions])
-        commands = arm.compensate(rows)
-        sagged = [arm.difference(*pair) for pair in zip(rows, commands, strict=True)]
-        change = arm.drives.velocities(np.array(sagged))
+        change = arm.drives.velocities(arm.difference(rows, arm.compensate(rows)))
         velocities, accelerations = compute_rates(moved.time, change)
         return replace(
             moved,

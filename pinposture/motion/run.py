@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
@@ -136,8 +135,7 @@ def torque_shares(arm: Arm, q: Array, limits: Limits) -> Array:
     if bounds.dt is None:
         steps = np.zeros((len(q) + 1, arm.nv))
     else:
-        moved = [arm.difference(a, b)[None] / bounds.dt for a, b in pairwise(q)]
-        steps = np.concatenate([rest, *moved, rest])
+        steps = np.concatenate([rest, arm.difference(q[:-1], q[1:]) / bounds.dt, rest])
     dt = 1.0 if bounds.dt is None else bounds.dt
     torques = arm.inverse_dynamics(q, (steps[1:] + steps[:-1]) / 2.0, np.diff(steps, axis=0) / dt)
     return np.asarray(np.abs(torques) / bounds.effort)
@@ -410,8 +408,7 @@ def _minimum_in(motion: Outcome, scene: Scene) -> Closest:
         distances = [CollisionModel(arm, at).minimum(q) for at, q in zip(scenes, motion.q, strict=True)]
         return min(distances, key=lambda closest: closest.distance)
     start = motion.q[0]
-    offsets = np.array([arm.difference(start, q) for q in motion.q])
-    return CollisionModel(arm, scene).minimum_along(start, offsets)
+    return CollisionModel(arm, scene).minimum_along(start, arm.difference(start, motion.q))
 
 
 def require_no_faults(motion: Outcome, force: bool, compensate: bool) -> None:
@@ -562,8 +559,7 @@ class Run(Outcome):
     @cached_property
     def displacements(self) -> Array:
         """Joint displacement of each step, (steps, nv) [rad or m]."""
-        moved = [self.arm.difference(a, b) for a, b in pairwise(self.q)]
-        return np.reshape(moved, (self.steps, self.arm.nv))
+        return self.arm.difference(self.q[:-1], self.q[1:])
 
     @cached_property
     def posture_error(self) -> Array:

@@ -185,8 +185,7 @@ class PlannedWay:
 
     def _steps(self) -> Array:
         """Return the steps between its rows, (n, nv)."""
-        pairs = zip(self._rows[:-1], self._rows[1:], strict=True)
-        return np.array([self.arm.difference(one, other) for one, other in pairs])
+        return self.arm.difference(self._rows[:-1], self._rows[1:])
 
     def _configuration(self, at: float) -> Array:
         """Return the configuration at a time [cycles], (nq,)."""

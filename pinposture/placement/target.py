@@ -192,10 +192,6 @@ class Target:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
         require_instance("arm", arm, Arm, "an Arm")
         check_numbers(self, arm)
-        self.check_weights()
-
-    def check_weights(self) -> None:
-        """Raise InvalidValue unless there is a point to control."""
         if not np.any(self.weights > 0.0):
             raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
 

@@ -227,8 +227,7 @@ class Simulation(Outcome):
     @cached_property
     def joint_error(self) -> Array:
         """Distance of each joint from its set point, (N, nv) [rad or m]."""
-        rows = zip(self.commanded, self.q, strict=True)
-        return np.asarray(np.abs(np.array([self.arm.difference(*pair) for pair in rows])))
+        return np.abs(self.arm.difference(self.commanded, self.q))
 
     @cached_property
     def point_errors(self) -> Array:

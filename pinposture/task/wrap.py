@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from math import isfinite
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, cast
@@ -613,9 +612,9 @@ def path_through(arm: Arm, rows: Array) -> JointPath:
     return JointPath(objective, rows[0], _offsets(arm, rows))
 
 
-def _offsets(arm: Arm, rows: Sequence[Array] | Array) -> Array:
-    """Return the displacements from the first of configurations to each, (r, nv) [rad or m]."""
-    steps = [arm.difference(one, other) for one, other in pairwise(rows)]
+def _offsets(arm: Arm, rows: Array) -> Array:
+    """Return the displacements from the first of configurations, (r, nq), to each, (r, nv) [rad or m]."""
+    steps = arm.difference(rows[:-1], rows[1:])
     return np.vstack([np.zeros(arm.nv), np.cumsum(steps, axis=0)])
 
 
@@ -796,7 +795,7 @@ class _Wrap:
             except TargetError as error:
                 raise TaskError(self.where, f"the arm cannot follow it: {error}") from None
             rows.append(cast(Array, near.q))
-        return _offsets(arm, rows)
+        return _offsets(arm, np.array(rows))
 
     def _distance(self, q: Array) -> float:
         """Return the distance of the arm from the object [m], negative for overlap."""

@@ -126,6 +126,12 @@ def test_configurations_add_up_as_pinocchio_does(seed):
         b = arm.integrate(a, dq)
         np.testing.assert_allclose(b, pin.integrate(arm.model, a, dq), atol=1e-15)
         np.testing.assert_allclose(arm.difference(a, b), pin.difference(arm.model, a, b), atol=1e-15)
+        rows = np.array([a, b, a])
+        for start, end in ((rows[:-1], rows[1:]), (a, rows), (rows, b)):
+            pairs = zip(*np.broadcast_arrays(start, end), strict=True)
+            each = np.array([arm.difference(one, other) for one, other in pairs])
+            np.testing.assert_array_equal(arm.difference(start, end), each)
+        assert arm.difference(rows[:0], rows[:0]).shape == (0, arm.nv)
         np.testing.assert_allclose(arm.positions(b), pin.difference(arm.model, pin.neutral(arm.model), b))
 
 

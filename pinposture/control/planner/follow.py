@@ -14,14 +14,13 @@ from pinposture._validation import require_instance
 from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.arm.arm import arm_of
 from pinposture.collision import Scene
-from pinposture.control.controller import Memory, Step, require_step_arguments
+from pinposture.control.controller import Memory, Step, checked_limits
 from pinposture.control.limits import (
     CYCLES,
     JointBounds,
     Limits,
     StepBounds,
     farthest,
-    require_limits,
 )
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import (
@@ -388,8 +387,7 @@ def follow(
     if arm_of(state) is not path.path.arm:
         raise InvalidValue("state", state.arm, "a state of the arm for which the path was planned")
     objective = path.path.objective
-    require_step_arguments(state, objective.target, memory)
-    limits = path.limits if limits is None else require_limits(limits)
+    limits = checked_limits(state, objective.target, path.limits if limits is None else limits, memory)
     state = state.chain_state
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq

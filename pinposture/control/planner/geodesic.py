@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, cast
@@ -10,14 +11,14 @@ from typing import Any, ClassVar, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import finite_array
+from pinposture._validation import finite_array, require_instance
 from pinposture.arm import Arm, ArmState, ChainState
 from pinposture.arm.weight import scaled
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.constraint import Constraint
-from pinposture.control.controller import Memory, Step, require_step_arguments
-from pinposture.control.limits import JointBounds, Limits, StepBounds, require_limits
+from pinposture.control.controller import Memory, Step, checked_limits
+from pinposture.control.limits import JointBounds, Limits, StepBounds
 from pinposture.control.planner.avoidance import Avoidance, ClearStep
 from pinposture.control.planner.damped_least_squares import PlanningProblem, StepConstraints, solve_posture
 from pinposture.control.planner.follow import (
@@ -139,11 +140,18 @@ class Geodesic:
 
     def with_scene(self, scene: Scene | None) -> Geodesic:
         """Return this controller in another scene."""
-        return replace(self, scene=scene)
+        require_instance("scene", scene, Scene | None, "a Scene(...), or None")
+        return self._with(scene=scene)
 
     def with_offset(self, offset: Array | None) -> Geodesic:
-        """Return this controller for another offset of the measured arm."""
-        return replace(self, offset=offset)
+        """Return this controller for another offset of the measured arm, an array (nv,) or None."""
+        return self._with(offset=offset)
+
+    def _with(self, **changes: Any) -> Geodesic:
+        """Return this controller with other values; nothing is checked, as all of it was when it was made."""
+        other = copy(self)
+        vars(other).update(changes)
+        return other
 
     def objective(self, arm: Arm, target: Target, known: Objective | None = None) -> Objective:
         """Return the objective of an arm: the target posture, the tasks and the constraints.
@@ -176,8 +184,7 @@ class Geodesic:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. The first step to a target plans and takes longer."""
-        limits = require_limits(limits)
-        require_step_arguments(state, target, memory)
+        limits = checked_limits(state, target, limits, memory)
         now = _Situation(self, state.chain_state, target, limits, memory)
         for mode in MODES:
             step = mode.take(now)
@@ -341,8 +348,7 @@ class Geodesic:
         Raises:
             InvalidValue: an argument of the wrong type.
         """
-        limits = require_limits(limits)
-        require_step_arguments(state, target, memory)
+        limits = checked_limits(state, target, limits, memory)
         memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
         if self.scene is None or target.led or not (self.scene.moving or self.offset is not None):
             return memory.braked(limits, state)
@@ -405,7 +411,6 @@ class _Situation:
     @cached_property
     def objective(self) -> Objective:
         """The objective of the controller for the target."""
-        self.target.check_weights()
         known = None if self.before is None else self.before.objective
         return self.controller.objective(self.state.arm, self.target, known)
 

@@ -101,10 +101,16 @@ class ChainObjective(NamedTuple):
 
 
 def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> ChainObjective:
-    """Return the points and chords of all objectives of an arm with the same weights, without targets."""
+    """Return the points and chords of all objectives of an arm with the same weights, without targets.
+
+    Raises:
+        InvalidValue: no control point has a weight.
+    """
     joints = np.flatnonzero(arm.limits.upper[arm.columns] > arm.limits.lower[arm.columns]).astype(np.int64)
     columns = arm.columns[joints].astype(np.int64)
     indices = np.flatnonzero(weights > 0.0)
+    if not len(indices):
+        raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
     points = weights[indices]
     chords = relative_position_weight * np.minimum(points[1:], points[:-1])
     none = np.empty((0, 3))
@@ -242,9 +248,7 @@ class Objective:
 
     def mean_error(self, state: ChainState) -> float:
         """Return the mean distance of the control points from their targets [m]."""
-        errors = self.point_errors(state)[0]
-        every = np.ones(len(errors), dtype=np.bool_)
-        return kernels.sum_point_errors(errors, np.zeros_like(errors), every) / len(errors)
+        return float(np.linalg.norm(self.point_errors(state)[0], axis=1).mean())
 
     def distance_to(self, other: Objective) -> float:
         """Return the mean distance between two target postures [m]; infinite unless the same points count."""

@@ -18,8 +18,8 @@ from pinposture.arm import ArmState, ChainState
 from pinposture.collision import Closest, Scene
 from pinposture.collision.model import describe_distance
 from pinposture.control.constraint import Constraint
-from pinposture.control.controller import require_step_arguments
-from pinposture.control.limits import JointBounds, Limits, require_limits
+from pinposture.control.controller import checked_limits
+from pinposture.control.limits import JointBounds, Limits
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import (
     DESCENT,
@@ -149,18 +149,16 @@ def plan(
             cannot be held.
         WeightUnknown: torque limits, and masses, or all limits of the arm, are not known.
     """
-    require_step_arguments(state, target)
+    limits = checked_limits(state, target, limits)
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     check_objective(joint_weight, relative_position_weight, tasks, constraints)
-    target.check(state.arm)
     require_function("progress", progress)
     if budget != inf:
         require_positive("budget", budget)
     objective = Objective(
         state.arm, target, tuple(tasks), relative_position_weight, joint_weight, tuple(constraints)
     )
-    limits = require_limits(limits)
     bounds = limits.for_arm(state.arm)
     require_instance("strict", strict, bool, "True or False")
     known_goal = None if target.q is None else state.arm.chain_at(target.q)

@@ -252,11 +252,10 @@ def direct_path(
     if penalties is None and largest <= PATH.short_motion:
         return JointPath(objective, start.q, np.array([np.zeros(arm.nv), objective.displacement(change)]))
     waypoints = _Waypoints(objective, start, position_limits)
-    bend = _bend(objective, variant) * largest
     if penalties is None:
-        relaxed = waypoints.relax(change, bend)
+        relaxed = waypoints.relax(change, variant)
     else:
-        guess = waypoints.interpolate(change, bend, AMONG_OBSTACLES.pieces)
+        guess = waypoints.guess(change, variant, AMONG_OBSTACLES.pieces)
         descent = DESCENTS.from_guess if penalties.tasks is None else DESCENTS.with_tasks
         relaxed = _PathRelaxation(waypoints, penalties).run(guess, descent)
     pieces = len(relaxed) - 1
@@ -334,8 +333,14 @@ class _Waypoints:
         given = constants, chain.joints, ends, chain.units, self.positions, *self.within, self.weight
         self._problem = PathProblem(*given)
 
-    def interpolate(self, change: Array, bend: Array, pieces: int) -> Array:
-        """Return joint interpolation, bent to one side."""
+    def guess(self, change: Array, variant: int, pieces: int) -> Array:
+        """Return joint interpolation, with the whole arm bent to one side, another for each variant."""
+        joints = len(change)
+        along = (np.arange(joints) + 0.5) / joints
+        size = STAGING.large_bend if variant else STAGING.small_bend
+        sign = (-1.0) ** variant
+        waves = 1 + variant // 2
+        bend = size * sign * np.cos(np.pi * waves * along) * np.abs(change).max(initial=0.0)
         shares = np.arange(pieces + 1)[:, None] / pieces
         return self._clip(shares * change + np.sin(np.pi * shares) * bend)
 
@@ -357,14 +362,14 @@ class _Waypoints:
         x = offsets[:, objective.chain.columns] / objective.chain.units
         return self._clip(np.column_stack([np.interp(even_s, s, joint) for joint in x.T]))
 
-    def relax(self, change: Array, bend: Array) -> Array:
+    def relax(self, change: Array, variant: int) -> Array:
         """Return the waypoints of the most direct path found, with as many pieces as it needs."""
         arm = self.objective.arm
         pieces = STAGING.first_pieces if arm.n_modules < STAGING.long_arm else STAGING.first_pieces_of_long
         stiffness = arm.n_modules * arm.length**2 / 12.0  # mean of the diagonal of J^T J
         return kernels.find_direct_waypoints(
             self._problem,
-            self.interpolate(change, bend, pieces),
+            self.guess(change, variant, pieces),
             np.array(STAGES),
             stiffness,
             STAGING.least_decrease,
@@ -379,16 +384,6 @@ class _Waypoints:
 
     def _clip(self, x: Array) -> Array:
         return np.ascontiguousarray(np.minimum(np.maximum(x, self.within[0]), self.within[1]))
-
-
-def _bend(objective: Objective, variant: int) -> Array:
-    """Return a sideways bend of the whole arm, (n,), different for each variant."""
-    joints = len(objective.chain.columns)
-    along = (np.arange(joints) + 0.5) / joints
-    size = STAGING.large_bend if variant else STAGING.small_bend
-    sign = (-1.0) ** variant
-    waves = 1 + variant // 2
-    return np.asarray(size * sign * np.cos(np.pi * waves * along))
 
 
 # Relaxation with penalties.

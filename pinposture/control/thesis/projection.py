@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
-from pinposture.control.controller import Memory, Step, require_step_arguments, step_within
-from pinposture.control.limits import Limits, require_limits
+from pinposture.control.controller import Memory, Step, checked_limits, step_within
+from pinposture.control.limits import Limits
 from pinposture.control.thesis.posture_matrix import (
     Gain,
     NullObjective,
@@ -84,7 +84,7 @@ class Projection:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`."""
-        require_step_arguments(state, target, memory)
+        limits = checked_limits(state, target, limits, memory)
         screws = state.screws
         errors = aligned_errors(state, target)
         secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
@@ -107,6 +107,7 @@ class Projection:
             limits: the limits of the step; `Limits()` if None.
             memory: `memory` of the previous step; None at the first.
         """
+        limits = checked_limits(state, target, limits, memory)
         return self._step(secondary, state.screws, state, target, limits, memory)
 
     def _step(
@@ -115,10 +116,9 @@ class Projection:
         screws: Screws,
         state: ArmState,
         target: Target,
-        limits: Limits | None,
+        limits: Limits,
         memory: Memory | None,
     ) -> Step:
-        limits = require_limits(limits)
         previous = memory.dq if memory is not None else None
         placed = target.has_target
         arm = state.arm

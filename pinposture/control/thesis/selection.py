@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_known, require_positive, require_share
 from pinposture.arm import Arm, ArmState
-from pinposture.control.controller import Memory, Step, require_step_arguments, step_within
-from pinposture.control.limits import Limits, require_limits
+from pinposture.control.controller import Memory, Step, checked_limits, step_within
+from pinposture.control.limits import Limits
 from pinposture.control.thesis.posture_matrix import (
     Gain,
     NullObjective,
@@ -197,8 +197,7 @@ class Selection:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. Without a candidate set the arm stops, with a reason."""
-        require_step_arguments(state, target, memory)
-        limits = require_limits(limits)
+        limits = checked_limits(state, target, limits, memory)
         previous = memory.dq if memory is not None else None
         arm = state.arm
         screws = state.screws

@@ -14,11 +14,11 @@ from pinposture.control.controller import (
     LazyInfo,
     Memory,
     Step,
-    require_step_arguments,
+    checked_limits,
     step_within,
     task_errors,
 )
-from pinposture.control.limits import Limits, require_limits
+from pinposture.control.limits import Limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
 from pinposture.placement import Target
@@ -110,8 +110,7 @@ class Switching:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. Its info names the method, and why it was chosen."""
-        require_step_arguments(state, target, memory)
-        limits = require_limits(limits)
+        limits = checked_limits(state, target, limits, memory)
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
         travel = limits.travel(state)
         phase = memory.phase if isinstance(memory, SwitchingMemory) else SwitchingPhase()
