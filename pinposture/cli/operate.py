@@ -146,7 +146,7 @@ def run(
         if operation_options.ros:
             options = {f"--{name}": value for name, value in vars(operation_options.simulated_arm).items()}
             refuse_given(options, "nothing with --ros; pinposture robot simulates a robot on ROS 2")
-            _drive(operation, limits, scene, ros_args, page_options, feed)
+            _drive(operation, limits, scene, ros_args, page_options, feed, carrier)
         else:
             refuse_given({"-- ARGUMENTS": ros_args}, "nothing without --ros")
             _simulate(operation, limits, scene, operation_options.simulated_arm, page_options, carrier)
@@ -234,11 +234,11 @@ def _drive(
     ros_args: list[str] | None,
     options: PageOptions,
     feed: CarrierFeed | Actuators | None,
+    carrier: CarrierFeed | None,
 ) -> None:
-    """Drive a robot on ROS 2."""
+    """Drive a robot on ROS 2, with what moves in place of its first joint, and shows if it is a robot."""
     with hold_interrupt():
         from pinposture.ros2 import Driver, DriverSettings, open_node
-        from pinposture.task import CarrierFeed
 
     with open_node("pinposture", ros_args or ()) as node:
         with hold_interrupt():
@@ -246,7 +246,6 @@ def _drive(
             driver = Driver(node, operation.arm, settings, limits=limits, scene=scene)
             operation.goes_on = True
             driver.follow(operation)
-        carrier = feed if isinstance(feed, CarrierFeed) else None
         with _page(operation, options, carrier=carrier):
             spin_node(node, driver)
         driver.close()

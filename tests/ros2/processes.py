@@ -35,6 +35,14 @@ def environment(logs: Path) -> dict[str, str]:
     }
 
 
+def set_to(node: Any, name: str, value: Any) -> Any:
+    """Set a parameter of a node of this process, and return the result."""
+    from rclpy.parameter import Parameter
+
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    return result
+
+
 END_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from ros2.processes import set_to
 
 import pinposture as pp
 from pinposture.collision.mapping import SEEN
@@ -249,27 +250,23 @@ def test_a_posture_is_a_target_and_one_of_other_joints_is_refused(
 
 
 def test_parameters_change_limits_and_hold_the_arm(graph: Any, driver: Driver, robot: Robot) -> None:
-    from rclpy.parameter import Parameter
-
-    def set_to(name: str, value: Any) -> Any:
-        return driver._node.set_parameters([Parameter(name, value=value)])[0]
-
+    node = driver._node
     target = set_moving(graph, driver, robot)
-    assert set_to("velocity", 0.2).successful
+    assert set_to(node, "velocity", 0.2).successful
     graph.run_for(0.5)
     begin = len(robot.commands)
     graph.run_for(0.5)
     steps = np.abs(np.diff(robot.commands[begin:], axis=0)).max(axis=1) / DT
     assert 0.1 < np.median(steps) <= 0.2 + 1e-6
-    refused = set_to("velocity", -1.0)
+    refused = set_to(node, "velocity", -1.0)
     assert not refused.successful and "velocity" in refused.reason
-    assert not set_to("max_age", 0.0).successful
-    assert not set_to("rate", 50.0).successful  # fixed from the start
-    assert set_to("hold", True).successful
+    assert not set_to(node, "max_age", 0.0).successful
+    assert not set_to(node, "rate", 50.0).successful  # fixed from the start
+    assert set_to(node, "hold", True).successful
     assert graph.run(lambda: driver.tracker.at_rest)
     assert graph.run(lambda: driver.reason == "the parameter hold is true")
     assert not robot.at(target)
-    assert set_to("velocity", 0.0).successful and set_to("hold", False).successful
+    assert set_to(node, "velocity", 0.0).successful and set_to(node, "hold", False).successful
     assert graph.run(lambda: robot.at(target)), driver.reason
 
 
@@ -431,8 +428,6 @@ def test_an_operator_leads_the_arm_and_nothing_else_does(graph: Any, driver: Dri
 def test_a_joint_that_fell_before_it_stood_is_not_locked_but_has_fallen(
     graph: Any, driver: Driver, robot: Robot
 ) -> None:
-    from rclpy.parameter import Parameter
-
     assert graph.run(lambda: driver.measured is not None and driver.tracker.at_rest)
     first, second, third = driver.arm.joint_names[:3]
     stands = JointFailure(first, "stuck", 0.3, 9.0)
@@ -453,13 +448,13 @@ def test_a_joint_that_fell_before_it_stood_is_not_locked_but_has_fallen(
     report(stands._replace(joint=second))
     assert driver._to_lock == (second,)
     for name in ("locked", "fallen"):
-        assert driver._node.set_parameters([Parameter(name, value="")])[0].successful
+        assert set_to(driver._node, name, "").successful
     driver._to_lock = None
     report(stands._replace(joint=third, kind="weak", duration=0.1))
     assert driver._falling == ""
     report(stands._replace(joint=third, kind="weak"))
     assert driver._falling == third
-    assert driver._node.set_parameters([Parameter("fallen", value="")])[0].successful
+    assert set_to(driver._node, "fallen", "").successful
     driver.settings = patient
     driver.tracker.report = before
     driver._watched.astray.clear()
@@ -470,8 +465,6 @@ def test_a_joint_that_fell_before_it_stood_is_not_locked_but_has_fallen(
 def test_an_operator_leads_the_arm_out_with_the_joint_that_sticks(
     graph: Any, driver: Driver, robot: Robot
 ) -> None:
-    from rclpy.parameter import Parameter
-
     arm = driver.arm
     driver.aim(posture(arm, 0.2))
     assert graph.run(lambda: robot.at(posture(arm, 0.2))), driver.reason
@@ -518,8 +511,7 @@ def test_an_operator_leads_the_arm_out_with_the_joint_that_sticks(
     assert graph.run(lambda: driver.tracker is not whole), driver.reason
     assert driver.tracker.arm is operation.arm and driver.locked == {failing: stuck_at}
     words = "unchanged while an operator or another guide leads the arm"
-    (answer,) = driver._node.set_parameters([Parameter("locked", value="")])
-    assert words in answer.reason
+    assert words in set_to(driver._node, "locked", "").reason
     way = operation.ways.way
     assert way is not None
     assert hold(lambda: way.at == way.end and driver.tracker.at_rest, along=1.0), (
@@ -606,9 +598,7 @@ def test_a_driver_follows_the_clock_of_a_simulation_also_back_and_feels_a_touch(
     simulator.extra[:] = 0.0
     driver.aim(posture(arm, 0.0))
     assert not simulator.run(lambda: at(0.0), 3.0)  # it goes on only when it is told to
-    from rclpy.parameter import Parameter
-
     for hold in (True, False):
-        assert driver._node.set_parameters([Parameter("hold", value=hold)])[0].successful
+        assert set_to(driver._node, "hold", hold).successful
     assert simulator.run(lambda: at(0.0)), driver.reason
     driver.close()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros2.processes import set_to
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
@@ -129,12 +130,6 @@ class Falls:
         assert told, (self.diagnostics, self.driver.reason)
         return self.diagnostics[key]
 
-    def set_to(self, node: Any, name: str, value: Any) -> Any:
-        from rclpy.parameter import Parameter
-
-        (answer,) = node.set_parameters([Parameter(name, value=value)])
-        return answer
-
     def close(self) -> None:
         self.driver.close()
         self.graph.close()
@@ -156,18 +151,18 @@ def test_the_arm_comes_out_with_a_joint_that_falls_and_works_again_without(falls
     names = falls.arm.joint_names
     others = np.arange(falls.arm.nv) != 0
     falls.aim(0.3)
-    refused = falls.set_to(driver._node, "retreat", True)
+    refused = set_to(driver._node, "retreat", True)
     assert "false while no joint is locked or has fallen" in refused.reason
-    assert "no joint that moves is called 'elbow'" in falls.set_to(driver._node, "fallen", "elbow").reason
+    assert "no joint that moves is called 'elbow'" in set_to(driver._node, "fallen", "elbow").reason
 
     # Told by hand: the arm holds where it is, until the joint works again.
-    assert falls.set_to(driver._node, "fallen", names[2]).successful
+    assert set_to(driver._node, "fallen", names[2]).successful
     falls.wait_for("fallen joint", f"{names[2]} is weak at 0.3")
     np.testing.assert_allclose(falls.positions, 0.3, atol=0.02)
-    assert falls.set_to(driver._node, "fallen", "").successful
+    assert set_to(driver._node, "fallen", "").successful
 
     # Limp: it falls to its end stop, stands there, and is taken for fallen, not locked.
-    assert falls.set_to(robot, "limp", names[0]).successful
+    assert set_to(robot, "limp", names[0]).successful
     driver.aim(pp.Target.from_configuration(falls.arm, np.full(falls.arm.nq, 0.2)))
     falls.wait_for("failing joints", f"{names[0]} is astray")
     assert falls.wait_for("fallen joint", f"{names[0]} is limp at 0.8") == f"{names[0]} is limp at 0.8"
@@ -176,7 +171,7 @@ def test_the_arm_comes_out_with_a_joint_that_falls_and_works_again_without(falls
     assert falls.wait_for("reason", names[0]).startswith(f"{names[0]} has fallen; way out: ")
     with pytest.raises(InvalidValue, match="only retreat"):
         falls.aim(0.0)
-    assert falls.set_to(driver._node, "retreat", True).successful
+    assert set_to(driver._node, "retreat", True).successful
     assert falls.graph.run(lambda: np.abs(falls.positions[others]).max() < 0.02), driver.reason
     assert falls.positions[0] == pytest.approx(0.8, abs=0.06)
 
@@ -186,6 +181,6 @@ def test_the_arm_comes_out_with_a_joint_that_falls_and_works_again_without(falls
         (driver._node, "retreat", False),
         (driver._node, "fallen", ""),
     ):
-        assert falls.set_to(node, name, value).successful
+        assert set_to(node, name, value).successful
     falls.aim(0.1)
     falls.wait_for("fallen joint", "")

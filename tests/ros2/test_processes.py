@@ -21,7 +21,7 @@ pytest.importorskip("mujoco")
 pytestmark = pytest.mark.process
 
 
-def set_to(graph: Any, node: Any, name: str, value: Any) -> Any:
+def set_remotely(graph: Any, node: Any, name: str, value: Any) -> Any:
     """Set a parameter of a node, by an `AsyncParameterClient`, and return the result."""
     from rclpy.parameter import Parameter
 
@@ -62,7 +62,7 @@ def test_two_processes_move_a_soft_arm_to_a_curve_and_end_well(
 
         # In the middle of a motion that takes long: it brakes, holds, and leaves.
         driver_says = AsyncParameterClient(watch.node, "/pinposture")
-        assert set_to(graph, driver_says, "velocity", 0.03).successful
+        assert set_remotely(graph, driver_says, "velocity", 0.03).successful
         pp.Curve.line((0, 0, 0), (0.3, 0, 0)).save(tmp_path / "line.json")
         elsewhere = arm.at(arm.straight())
         begin = watch.points
@@ -108,14 +108,13 @@ def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_
         robot_says = AsyncParameterClient(watch.node, "/robot")
         driver_says = AsyncParameterClient(watch.node, "/pinposture")
 
-        refused = set_to(graph, driver_says, "retreat", True)
+        refused = set_remotely(graph, driver_says, "retreat", True)
         assert not refused.successful and "no joint is locked" in refused.reason
-        assert (
-            "no joint of the chain is called 'elbow'" in set_to(graph, driver_says, "locked", "elbow").reason
-        )
+        unknown = set_remotely(graph, driver_says, "locked", "elbow")
+        assert "no joint of the chain is called 'elbow'" in unknown.reason
         column = 3
         stuck = arm.drives.names[column]
-        assert set_to(graph, robot_says, "stuck", stuck).successful
+        assert set_remotely(graph, robot_says, "stuck", stuck).successful
         target = watch.aim(-0.3)
         words = f"joint '{stuck}' does not follow its command"
         assert graph.run(lambda: words in watch.status.message), watch.status
@@ -143,14 +142,14 @@ def test_the_time_of_the_simulation_a_camera_and_a_way_out_without_a_joint_that_
         assert error() > foretold - 1e-3
 
         # Out, by the way that it came; then with the joint again.
-        assert set_to(graph, driver_says, "retreat", True).successful
+        assert set_remotely(graph, driver_says, "retreat", True).successful
         others = np.arange(arm.nv) != column
         assert graph.run(lambda: np.abs(watch.positions[others]).max() < 0.02), watch.status
         assert watch.positions[column] == pytest.approx(float(at), abs=5e-3)
-        assert set_to(graph, driver_says, "retreat", False).successful
+        assert set_remotely(graph, driver_says, "retreat", False).successful
         mend = [sys.executable, EXAMPLES / "set_parameter.py", "/robot", "stuck", ""]
         subprocess.run(mend, env=os.environ | environment(tmp_path), check=True, timeout=60)
-        assert set_to(graph, driver_says, "locked", "").successful
+        assert set_remotely(graph, driver_says, "locked", "").successful
         assert graph.run(lambda: not watch.value("locked joints")), watch.status
         watch.aim(-0.3)
         assert graph.run(lambda: np.abs(watch.positions + 0.3).max() < 0.01), watch.status

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from ros2.processes import set_to
 
 import pinposture as pp
 
@@ -144,7 +145,6 @@ def robot(graph: Any, arm: pp.Arm) -> Iterator[tuple[SimulatedRobot, Any]]:
 def test_the_robot_moves_as_it_is_told_and_tells_what_it_feels_and_sees(
     graph: Any, arm: pp.Arm, robot: tuple[SimulatedRobot, Any]
 ) -> None:
-    from rclpy.parameter import Parameter
     from sensor_msgs.msg import JointState, PointCloud2
     from std_msgs.msg import Float64MultiArray
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -198,19 +198,16 @@ def test_the_robot_moves_as_it_is_told_and_tells_what_it_feels_and_sees(
     assert graph.run(lambda: "joint_names are ['x']" in simulated.refused)
 
     # Joints that fail, messages that do not come.
-    def set_to(name: str, value: Any) -> Any:
-        return node.set_parameters([Parameter(name, value=value)])[0]
-
     stuck = arm.drives.names[3]
-    assert set_to("stuck", f"{stuck}, {arm.drives.names[0]}").successful
+    assert set_to(node, "stuck", f"{stuck}, {arm.drives.names[0]}").successful
     positions.publish(Float64MultiArray(data=[0.2] * arm.nv))
     assert graph.run(lambda: abs(simulated.plant.positions[1] - 0.2) < 0.05)
     assert simulated.plant.positions[3] == pytest.approx(-0.1, abs=0.02)
-    refused = set_to("limp", "elbow")
+    refused = set_to(node, "limp", "elbow")
     assert not refused.successful and "no joint with a drive is called 'elbow'" in refused.reason
-    assert set_to("stuck", "").successful
+    assert set_to(node, "stuck", "").successful
     assert graph.run(lambda: abs(simulated.plant.positions[3] - 0.2) < 0.05)
-    assert set_to("silent", True).successful
+    assert set_to(node, "silent", True).successful
     graph.run_for(0.3)
     count = len(states)
     graph.run_for(0.3)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from ros2.processes import set_to
 
 import pinposture as pp
 
@@ -42,9 +43,7 @@ class Sensed:
         )
 
     def lose(self, *names: str) -> None:
-        from rclpy.parameter import Parameter
-
-        answer = self.node.set_parameters([Parameter("missing", value=",".join(names))])[0]
+        answer = set_to(self.node, "missing", ",".join(names))
         assert answer.successful, answer.reason
 
     @property

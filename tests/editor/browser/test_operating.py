@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -29,6 +30,22 @@ def held(control: Control) -> tuple[float, ...] | None:
     return None if order is None else (*order.direction.tolist(), order.override)
 
 
+def hold_until(
+    control: Control, way: tuple[float, ...], hold: Callable[[], object], let_go: Callable[[], object]
+) -> None:
+    """Hold something until the control has it: a browser that stalls loses it until it is let go."""
+    for _ in range(20):
+        hold()
+        end = time.monotonic() + 0.5
+        while held(control) != way and time.monotonic() < end:
+            time.sleep(0.005)
+        if held(control) == way:
+            return
+        let_go()
+        wait_until(lambda: control.reason == "nothing is held", "nothing is held")
+    pytest.fail(f"not held: {way}")
+
+
 def test_keys_and_buttons_count_while_they_are_held(browser: Any) -> None:
     arm = pp.Arm.from_template("RyRz", modules=2)
     control = Control()
@@ -47,17 +64,12 @@ def test_keys_and_buttons_count_while_they_are_held(browser: Any) -> None:
         (page.mouse.down, lambda: page.evaluate("dispatchEvent(new Event('blur'))"), (-1.0, 0.0, 0.0, 0.5)),
     ):
         page.hover("[data-way=back]")
-        for _ in range(20):  # a browser that stalls loses what is held until it is let go
-            press()
-            end = time.monotonic() + 0.5
-            while held(control) != way and time.monotonic() < end:
-                time.sleep(0.005)
-            if held(control) == way:
-                break
+
+        def release(let_go: Callable[[], object] = let_go) -> None:
             let_go()
             page.mouse.up()
-        else:
-            pytest.fail(f"not held: {way}")
+
+        hold_until(control, way, press, release)
         let_go()
         wait_until(lambda: control.reason == "nothing is held", "nothing is held")
         page.mouse.up()
@@ -101,17 +113,12 @@ def test_sticks_count_with_the_trigger_and_the_cap_of_a_3d_mouse_alone(browser: 
             (0.0, 0.5, 0.0, 0.5),
         ),
     ):
-        for _ in range(20):  # as above
-            page.evaluate("there => { window.pads = there; }", there)
-            end = time.monotonic() + 0.5
-            while held(control) != way and time.monotonic() < end:
-                time.sleep(0.005)
-            if held(control) == way:
-                break
-            page.evaluate("() => { window.pads = []; }")
-            wait_until(lambda: control.reason == "nothing is held", "nothing is held")
-        else:
-            pytest.fail(f"not held: {way}")
+        hold_until(
+            control,
+            way,
+            partial(page.evaluate, "there => { window.pads = there; }", there),
+            partial(page.evaluate, "() => { window.pads = []; }"),
+        )
         page.evaluate("there => { window.pads = there; }", still)
         wait_until(lambda: control.reason == "nothing is held", "nothing is held")
     assert "trigger" in page.inner_text("#pad") and "cap" in page.inner_text("#pad")
