@@ -20,28 +20,21 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import threading
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import msgspec
 import numpy as np
-import viser
-import zstandard
 from viser._messages import (
-    Message,
     SceneNodeDragMessage,
     TransformControlsDragEndMessage,
     TransformControlsDragStartMessage,
     TransformControlsUpdateMessage,
-    ViewerCameraMessage,
 )
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
 
 import pinposture as pp
+from benchmarks.page_client import PageClient
 from pinposture.editor import Editor
 from pinposture.editor.edits import with_obstacle
 from pinposture.editor.files import first_task
@@ -67,30 +60,12 @@ Tell = Callable[[str, np.ndarray], None]
 """Tells of a drag: its phase ("start", "update" or "end"), and where the hand is, (3,) [m]."""
 
 
-class Client:
-    """A browser without a picture."""
+class Client(PageClient):
+    """A browser without a picture that notes when postures of the arm come; as `PageClient`."""
 
     def __init__(self, url: str) -> None:
-        address = url.replace("http", "ws", 1)
-        self._socket: ClientConnection = connect(
-            address, subprotocols=[f"viser-v{viser.__version__}"], compression=None, max_size=None
-        )
         self.postures: list[float] = []  # when each came
-        threading.Thread(target=self._listen, daemon=True).start()
-        # A browser counts from the first time that it says where it looks from.
-        self._tell(
-            ViewerCameraMessage(
-                wxyz=(1.0, 0.0, 0.0, 0.0),
-                position=(0.0, -2.0, 0.0),
-                fov=0.7,
-                near=0.01,
-                far=100.0,
-                image_height=720,
-                image_width=1280,
-                look_at=(0.0, 0.0, 0.0),
-                up_direction=(0.0, 0.0, 1.0),
-            )
-        )
+        super().__init__(url)
 
     def drag(self, name: str, home: np.ndarray, phase: str, place: np.ndarray) -> None:
         """Tell of a drag of something that was at home."""
@@ -116,24 +91,9 @@ class Client:
         if phase == "end":
             self._tell(TransformControlsDragEndMessage(name))
 
-    def _tell(self, message: Message) -> None:
-        self._socket.send(msgspec.msgpack.encode(message.as_serializable_dict()))
-
-    def close(self) -> None:
-        """Leave."""
-        self._socket.close()
-
-    def _listen(self) -> None:
-        unpack = zstandard.ZstdDecompressor()
-        try:
-            for raw in self._socket:
-                assert isinstance(raw, bytes)
-                size = int.from_bytes(raw[8:16], "little")
-                messages = msgspec.msgpack.decode(unpack.decompress(raw[16 : 16 + size]))["messages"]
-                if any(map(_moves_the_arm, messages)):
-                    self.postures.append(time.perf_counter())
-        except ConnectionClosed:
-            return
+    def _take(self, messages: list[dict[str, Any]]) -> None:
+        if any(map(_moves_the_arm, messages)):
+            self.postures.append(time.perf_counter())
 
 
 def _moves_the_arm(message: dict[str, Any]) -> bool:

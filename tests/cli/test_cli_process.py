@@ -186,19 +186,18 @@ def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path, comma
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf"]
 
 
+def in_own_session(line, **options):
+    """A process whose children can be told by its session."""
+    pipe = subprocess.PIPE
+    shared = {"env": environment(), "text": True, "start_new_session": True}
+    return subprocess.Popen(line, stdout=pipe, stderr=pipe, **shared, **options)
+
+
 @pytest.mark.process
 @posix
 def test_ctrl_c_closes_the_viewer_and_leaves_no_process_behind(run_directory):
     line = [*COMMAND, "view", str(run_directory), "--no-browser"]
-    child = subprocess.Popen(
-        line,
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=heed_interrupts,
-    )
+    child = in_own_session(line, preexec_fn=heed_interrupts)
     address = child.stdout.readline()
     assert address.startswith("http://")
     assert "Ctrl-C" in child.stderr.readline()
@@ -271,14 +270,7 @@ def in_session(leader: int) -> list[int]:
 def test_a_batch_that_is_interrupted_ends_with_all_its_processes(arm_file, everybody):
     options = ["--curve", "helix", "--partial", "--count", "5000", "--jobs", "2"]
     line = [*COMMAND, "batch", str(arm_file), *options]
-    running = subprocess.Popen(
-        line,
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    running = in_own_session(line)
     try:
         while len(in_session(running.pid)) < 3 and running.poll() is None:
             time.sleep(0.1)

@@ -261,13 +261,26 @@ def test_decimals_follow_the_size_of_the_arm(live, server, desk, length, step):
     assert 1e-3 * np.round(grid.value, grid.precision) == pytest.approx(0.02 * length, rel=0.3)
 
 
-def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(arm, live, server, desk, monkeypatch):
+@pytest.fixture
+def clock(monkeypatch):
+    """The time by which what is typed is over [s], in a list."""
+    now = [100.0]
+    monkeypatch.setattr(parts.time, "monotonic", lambda: now[0])
+    return now
+
+
+@pytest.fixture
+def tab(arm, live, server, desk):
+    """The tab with the ball selected."""
     session, post = desk
-    tab = SceneTab(server, arm, ScanShelf(post), post)
+    made = SceneTab(server, arm, ScanShelf(post), post)
     select_obstacle("ball", session)
-    tab.show(session, live)
-    clock = [100.0]
-    monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
+    made.show(session, live)
+    return made
+
+
+def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(live, desk, tab, clock):
+    session, _ = desk
     states = len(session.history._states)
     for radius in (0.0, 3.0, 35.0):  # "35" [mm], key by key
         tab._values["radius"]._type(radius)
@@ -281,13 +294,8 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(arm, live, ser
     assert len(session.history._states) == states + 1
 
 
-def test_what_is_refused_returns_to_what_it_was(arm, live, server, desk, monkeypatch):
-    session, post = desk
-    tab = SceneTab(server, arm, ScanShelf(post), post)
-    select_obstacle("ball", session)
-    tab.show(session, live)
-    clock = [100.0]
-    monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
+def test_what_is_refused_returns_to_what_it_was(live, desk, tab, clock):
+    session, _ = desk
     tab._values["center"].control.value = (0.0, 0.0, 0.0)
     tab._values["center"]._type((0.0, 0.0, 0.0))  # where the base is
     clock[0] += 2.0

@@ -77,15 +77,20 @@ def test_the_posture_error_rises_only_on_flagged_steps(arm: pp.Arm, seed: int, j
     assert not run.steps or run.error_increasing.mean() < 1.0
 
 
+def turned(distance: float, limits: pp.Limits) -> pp.Run:
+    """The motion of one joint over a distance, from rest to rest."""
+    arm = pp.Arm.from_template("RyRz", 1)
+    target = pp.Target.from_configuration(arm, [distance, 0.0])
+    return pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=2000)
+
+
 @pytest.mark.parametrize("jerk", [20.0, 50.0, 200.0])
 @pytest.mark.parametrize("distance", [1.5, 2.5])
 def test_a_long_motion_of_one_joint_takes_little_longer_than_the_shortest(
     jerk: float, distance: float
 ) -> None:
-    arm = pp.Arm.from_template("RyRz", 1)
     limits = limited(jerk)
-    target = pp.Target.from_configuration(arm, [distance, 0.0])
-    run = pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=2000)
+    run = turned(distance, limits)
     # From rest to rest, at full jerk, acceleration and speed in turn.
     v = limits.velocity
     a = limits.acceleration
@@ -133,10 +138,7 @@ def test_a_path_that_bends_is_cut_by_no_more_than_derived(arm: pp.Arm) -> None:
 def test_a_short_motion_of_one_joint_takes_little_longer_than_the_shortest(
     jerk: float, distance: float
 ) -> None:
-    arm = pp.Arm.from_template("RyRz", 1)
-    limits = limited(jerk)
-    target = pp.Target.from_configuration(arm, [distance, 0.0])
-    run = pp.track(arm, target, [0.0, 0.0], limits=limits, max_steps=2000)
+    run = turned(distance, limited(jerk))
     # From rest to rest, with the jerk alone: a quarter of the time each with +j, -j, -j and +j.
     shortest = (32.0 * distance / jerk) ** (1.0 / 3.0)
     assert run.converged
