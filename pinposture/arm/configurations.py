@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import (
     LARGEST_COORDINATE,
+    as_floats,
     finite_vector,
-    float_array,
     make_read_only,
     require_finite,
 )
@@ -193,13 +193,13 @@ class ConfigurationSpace:
         Raises:
             InvalidValue: not numbers, or of another size, such as one number per joint.
         """
-        try:
-            return float_array(name, q, (self.nq,))
-        except InvalidValue as error:
-            if self._flat or not isinstance(error.value, tuple) or error.value != (self.nv,):
-                raise
-            allowed = f"{error.allowed}: two numbers for each continuous joint; see Arm.configuration"
-            raise InvalidValue(error.name, error.value, allowed) from None
+        array = as_floats(name, q, f"numbers of shape ({self.nq},)")
+        if array.shape != (self.nq,):
+            allowed = f"({self.nq},) for this arm"
+            if array.shape == (self.nv,):
+                allowed += ": two numbers for each continuous joint; see Arm.configuration"
+            raise InvalidValue(f"{name} (shape)", array.shape, allowed)
+        return array
 
     def checked(self, q: ArrayLike, name: str = "q") -> Array:
         """Check a configuration and return it as a new float array.
