@@ -225,9 +225,10 @@ def find_path(
         tolerant = limited.tolerating(state, goal)
         if not (path.blocked_by or tolerant.keeps_constraints(state.q, path.offsets).all()):
             path = _clearest_path(problem, goal, attempt, until, report, path)
-    logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.blocked_by)
     scene = None if avoidance is None else avoidance.clearance.scene
-    return replace(path, scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal))
+    path = replace(path, scene=scene, attempt=attempt, task_errors=_task_errors(objective, state, goal))
+    logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.blocked_by)
+    return path
 
 
 def _task_errors(
