@@ -319,8 +319,7 @@ class Avoidance:
     def _constraint_rows(self, state: ChainState, lower: Array, upper: Array) -> ConstraintRows:
         """Return the rows of constraints: none loses more than a share of its room, as pairs of clearance."""
         inequalities = self.inequalities(state)
-        chain = self.objective.chain
-        matrix = inequalities.matrix[:, chain.columns] * chain.units
+        matrix = self.objective.restrict(inequalities.matrix)
         room = inequalities.room - AVOIDANCE.step_clearance * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         return ConstraintRows(matrix, np.minimum(-self._approach * room, AVOIDANCE.gain_share * most))
@@ -329,8 +328,7 @@ class Avoidance:
         """Return the rows of pairs that are near; None if there are none."""
         if not len(near.distances):
             return None
-        chain = self.objective.chain
-        matrix = near.jacobian[:, chain.columns] * chain.units
+        matrix = self.objective.restrict(near.jacobian)
         room = near.distances - self.margin - AVOIDANCE.step_clearance * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         share = np.full(len(room), AVOIDANCE.gain_share)
@@ -343,11 +341,11 @@ class Avoidance:
         closing = -self._dt * near.rates
         approach = np.full(len(room), self._approach)
         if self._bounds.brake is not None:
-            brake = self._bounds.brake[chain.columns] / chain.units
+            brake = self.objective.normalize(self._bounds.brake)
             able = AVOIDANCE.retreat_share * (np.abs(matrix) @ np.minimum(brake, 1e9))
             approach = np.minimum(approach, able / np.maximum(closing, 1e-12))
         # From an obstacle that is faster than the arm, it retreats the earlier, the faster the obstacle is.
-        bound = self._bounds.bound[chain.columns] / chain.units
+        bound = self.objective.normalize(self._bounds.bound)
         speed = AVOIDANCE.retreat_speed_share * (np.abs(matrix) @ np.minimum(bound, 1e9))
         faster = closing > speed
         sight = (1.0 - speed[faster] / closing[faster]) * AVOIDANCE.constrained_distance * self._length
@@ -438,8 +436,7 @@ class Avoidance:
         inequalities = self.inequalities(state)
         missing = AVOIDANCE.path_clearance * self._length - inequalities.room
         near = missing > 0.0
-        chain = self.objective.chain
-        matrix = inequalities.matrix[near][:, chain.columns] * chain.units
+        matrix = self.objective.restrict(inequalities.matrix[near])
         return LinearRows(root * matrix, root * missing[near])
 
     def clear_stop(self, state: ChainState, dq: Array, stopping: Array | None = None) -> Array | None:

@@ -368,8 +368,8 @@ def minimize_from_free_fit(
     """
     free = minimize(problem._replace(avoidance=None), state, good)
     for before in known:
-        change = problem.objective.normalize(state.arm.difference(before.state.q, free.state.q))
-        if np.abs(change).max(initial=0.0) <= DESCENT.same_fit:
+        change = state.arm.difference(before.state.q, free.state.q)
+        if problem.objective.largest_motion(change) <= DESCENT.same_fit:
             return before.result
     violation = _PostureFit(problem, good, allowed).rate(free.state).violation
     result = free
@@ -403,9 +403,7 @@ class _PostureFit(NamedTuple):
     def step(self, state: ChainState, damping: float) -> ChainState | None:
         objective = self.problem.objective
         avoidance = self.problem.avoidance
-        chain = objective.chain
-        here = state.positions[chain.columns]
-        lower, upper = ((edge[chain.columns] - here) / chain.units for edge in self.problem.position_limits)
+        lower, upper = objective.normalize(self.problem.position_limits - state.positions)
         lower = np.clip(lower, -DESCENT.search_step, 0.0)
         upper = np.clip(upper, 0.0, DESCENT.search_step)
         rows = None if avoidance is None else avoidance.rows(state, lower, upper)

@@ -881,10 +881,9 @@ def step_along(
         return CandidateStep(objective.displacement(x), progress, solution)
     step = _bend_to_tasks(progress, dq, constraints, tasks)
     if tasks is not None and proposal.rest is not None:
-        most = np.abs(dq) + ROUNDING * objective.chain.units
-        if np.any((np.abs(step.dq) > most)[objective.chain.columns]):
-            shared = _share(proposal.rest, dq)
-            step = _bend_to_tasks(progress, shared, constraints, tasks)
+        farther = np.abs(objective.normalize(step.dq)) > np.abs(objective.normalize(dq)) + ROUNDING
+        if np.any(farther):
+            step = _bend_to_tasks(progress, _share(proposal.rest, dq), constraints, tasks)
     return step
 
 
@@ -994,20 +993,19 @@ def _next_on_path(
     timed = progress.timed
     path = progress.timed.path
     here = progress.s
-    columns = progress.objective.chain.columns
-    units = progress.objective.chain.units
+    objective = progress.objective
     if timed.profile is None:
         step = path.step_along(state, here, step_bounds.both)
         left = step.left
         if here >= path.end and tasks is not None:
             rest = _admitted(progress, here, tasks, path.offsets[-1] - path.offset_of(state, here))
-            left = float(np.abs(rest[columns] / units).max(initial=0.0))
+            left = objective.largest_motion(rest)
         return _Proposal(step.s, left, step.inside, True, step.dq)
     offset = path.offset_of(state, here)
     rest = path.offsets[-1] - offset
     if tasks is not None and (path.end == 1.0 or here >= path.end):
         rest = _admitted(progress, path.end, tasks, rest)
-    left = float(np.abs(rest[columns] / units).max(initial=0.0))
+    left = objective.largest_motion(rest)
     alone = path.end == 1.0 and not (timed.scheduled or timed.torques is not None)
     if alone and bounds.brake is not None:
         # On so short a path each joint moves to the end on its own, as fast as it can stop there. Beside
@@ -1015,9 +1013,9 @@ def _next_on_path(
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), step_bounds.lower), step_bounds.upper)
         if tasks is None and not free:
             dq = np.minimum(np.maximum(_share(rest, dq), step_bounds.lower), step_bounds.upper)
-        ahead = float(np.abs((rest - dq)[columns] / units).max(initial=0.0))
+        ahead = objective.largest_motion(rest - dq)
         if tasks is None:
-            whole = float(np.abs(path.offsets[-1][columns] / units).max(initial=0.0))
+            whole = objective.largest_motion(path.offsets[-1])
             s = max(here, 1.0 - ahead / max(whole, ROUNDING))
         else:  # they need motion off the path as well
             s = 1.0 - (1.0 - here) * min(ahead / max(left, ROUNDING), 1.0)
@@ -1033,8 +1031,8 @@ def _next_on_path(
     dq = np.empty(state.arm.nv)
     s, held_back, inside = kernels.step_on_profile(
         timed.arrays,
-        columns,
-        units,
+        objective.chain.columns,
+        objective.chain.units,
         bounds.bound,
         braking,
         step_bounds.both,

@@ -281,8 +281,8 @@ class Geodesic:
         avoidance = now.avoidance(progress)
         if goal is None or avoidance is None:
             return False
-        away = np.abs(path.objective.normalize(arm.difference(end, goal.q))).max()
-        return bool(away > FOLLOWING.most_deviation) and avoidance.allows(goal)
+        away = path.objective.largest_motion(arm.difference(end, goal.q))
+        return away > FOLLOWING.most_deviation and avoidance.allows(goal)
 
     def _is_clear_of_maps(self, now: _Situation, progress: PathProgress) -> bool:
         """Whether the path ahead keeps the margin to maps, as far as the arm does now."""
@@ -678,7 +678,7 @@ def _within_torques(
     solution = None
     for _ in range(GEODESIC.torque_iterations):
         matrix, least = torques.rows(closest)
-        limits = ConstraintRows(matrix[:, chain.columns] * chain.units, least)
+        limits = ConstraintRows(objective.restrict(matrix), least)
         solution = solve(
             hessian, gradient, constraints.lower, constraints.upper, constraints.rows, hard=limits
         )

@@ -212,7 +212,7 @@ class Objective:
             if task.priority == priority:
                 rows = rows_of(task, state, self.target)
                 root = float(np.sqrt(task.weight))
-                matrices.append(root * rows.jacobian[:, self.chain.columns] * self.chain.units)
+                matrices.append(self.restrict(root * rows.jacobian))
                 errors.append(root * rows.error)
         return LinearRows(np.concatenate(matrices), np.concatenate(errors)) if matrices else None
 
@@ -283,8 +283,16 @@ class Objective:
         return dq
 
     def normalize(self, dq: Array) -> Array:
-        """Return the step x (n,), in `Arm.joint_units`, of a joint displacement (nv,) [rad or m]."""
-        return np.asarray(dq[self.chain.columns] / self.chain.units)
+        """Return steps x (..., n), in `Arm.joint_units`, of joint displacements (..., nv) [rad or m]."""
+        return np.asarray(dq[..., self.chain.columns] / self.chain.units)
+
+    def largest_motion(self, dq: Array) -> float:
+        """Return the largest joint motion of a displacement (nv,), in `Arm.joint_units`."""
+        return float(np.abs(self.normalize(dq)).max(initial=0.0))
+
+    def restrict(self, matrix: Array) -> Array:
+        """Return rows for steps x, (r, n), from rows for joint displacements, (r, nv)."""
+        return np.asarray(matrix[:, self.chain.columns] * self.chain.units)
 
 
 def check_objective(

@@ -274,7 +274,7 @@ def short_path(problem: PlanningProblem, goal: ChainState | None = None) -> Join
         goal = known_goal(objective, position_limits, state.q)
         if goal is None or not (avoidance is None or avoidance.allows(goal)):
             return None
-    motion = _size(objective, objective.arm.difference(state.q, goal.q))
+    motion = objective.largest_motion(objective.arm.difference(state.q, goal.q))
     if motion * len(objective.chain.columns) > PLAN.most_short_motion:
         return None
     path = direct_path(objective, state, goal.q, position_limits)
@@ -638,12 +638,14 @@ def replan(
         clear = result.intrusion == 0.0
     change = objective.displacement(objective.normalize(arm.difference(before, goal.q)))
     bent = change if bend is None else bend + change
-    too_far = _size(objective, bent) > PLAN.most_bend * _size(objective, arm.difference(state.q, before))
+    left = objective.largest_motion(arm.difference(state.q, before))
+    too_far = objective.largest_motion(bent) > PLAN.most_bend * left
     if s < np.inf and not too_far:
         errors = _task_errors(objective, state, goal, path, s)
         return replace(path.bent(s, change, position_limits), objective=objective, task_errors=errors), bent
     new = None
-    if not objective.tasks or _size(objective, arm.difference(state.q, goal.q)) <= PLAN.least_planned_motion:
+    motion = objective.largest_motion(arm.difference(state.q, goal.q))
+    if not objective.tasks or motion <= PLAN.least_planned_motion:
         new = short_path(problem, goal)
     if new is None and prompt:
         raise PlanNeeded
@@ -661,8 +663,3 @@ def _achievable_error(before: Objective, after: Objective, goal: ChainState) -> 
     moved = before.distance_to(after)
     small = PLAN.small_change * after.arm.length / after.arm.n_modules
     return PLAN.noise_factor * (left + moved) if moved <= max(left, small) else 0.0
-
-
-def _size(objective: Objective, change: Array) -> float:
-    """Return the largest joint motion of a displacement (nv,), in `Arm.joint_units`."""
-    return float(np.abs(objective.normalize(change)).max(initial=0.0))

@@ -325,7 +325,7 @@ class _Waypoints:
         self.objective = objective
         self.start = start
         self.positions = start.raw_positions
-        lower, upper = ((edge - self.positions)[chain.columns] / chain.units for edge in position_limits)
+        lower, upper = objective.normalize(position_limits - self.positions)
         # From a start outside its limits, the waypoints come back along the path.
         self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
         constants = arm.kinematics.constants
@@ -359,7 +359,7 @@ class _Waypoints:
         objective = self.objective
         s = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
         even_s = np.linspace(0.0, s[-1], pieces + 1)
-        x = offsets[:, objective.chain.columns] / objective.chain.units
+        x = objective.normalize(offsets)
         return self._clip(np.column_stack([np.interp(even_s, s, joint) for joint in x.T]))
 
     def relax(self, change: Array, variant: int) -> Array:

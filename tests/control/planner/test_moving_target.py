@@ -189,3 +189,24 @@ def test_steps_computed_ahead_are_those_of_one_call_each(seed: int) -> None:
         controller.step(arm().at(q), target, LIMITS, memory).dq[:] = 7.0
         np.testing.assert_array_equal(controller.step(arm().at(q), target, LIMITS, memory).dq, again)
     assert ahead > 5
+
+
+def test_a_held_tip_follows_a_moving_target_without_a_joint_that_is_locked() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=6)
+    bent = np.array([0.2, -0.1] * 6)
+    arm = arm.with_locked({arm.joint_names[5]: -0.1})
+    tip = replace(pp.EndEffector.held(arm.at(bent)), priority=True)
+    controller = pp.Geodesic(tasks=(tip,))
+    limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=4.0)
+    q = bent
+    memory = None
+    ends = set()
+    for k in range(20):
+        aside = 0.002 * np.sin(0.2 * k) * np.eye(12)[0]
+        target = pp.Target.from_points(arm, arm.at(bent + aside).points)
+        step = controller.step(arm.at(q), target, limits, memory)
+        q = arm.integrate(q, step.dq)
+        memory = step.memory
+        ends.add(memory.progress.path.end)
+    assert 1.0 in ends  # it goes straight there, as it is near
+    np.testing.assert_allclose(arm.at(q).points[-1], arm.at(bent).points[-1], atol=1e-6)
