@@ -34,6 +34,7 @@ class Trace:
         calls: how many functions of the package were called.
         switches: how many of these calls led into another file than that of the caller.
         cycles: how many control cycles the function took, if it tells.
+        tree: the calls, each with the number of those of the package that it is within.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class Trace:
         self.calls = 0
         self.switches = 0
         self.cycles = 0
+        self.tree: list[tuple[int, str]] = []
         self._folder = str(folder) + "/"
         self._importing = 0
         self._over = True
@@ -68,21 +70,31 @@ class Trace:
         elif event == "call" and code is self._until_call:
             self._over = True
         elif event == "call":
-            self._count(frame)
+            self._count(frame, sys._getframe(1))
             self.note(code)
         elif event == "return" and code is self._until_return:
             self._returns -= 1
             self._over = self._over or self._returns == 0
 
-    def _count(self, frame: Any) -> None:
+    def _count(self, frame: Any, now: Any) -> None:
+        """Count a call, given the frame that runs: for a kernel, which has none, that of its caller."""
         own = frame.f_code.co_filename
         if not self._counts(own) or frame.f_code.co_name in COMPREHENSIONS:
             return
         self.calls += 1
-        caller = frame.f_back
-        while caller is not None and not caller.f_code.co_filename.startswith(self._folder):
+        compiled = now is not frame
+        callers = list(self._callers(now if compiled else frame.f_back))
+        self.switches += not compiled and bool(callers) and callers[0] != own
+        name = getattr(frame.f_code, "co_qualname", frame.f_code.co_name)  # Python 3.10 has none
+        file = own[len(self._folder) :]
+        self.tree.append((len(callers), f"{name} ({file}{', compiled' if compiled else ''})"))
+
+    def _callers(self, caller: Any) -> Iterator[str]:
+        """The files of the functions of the package that a function is called within, from the last one."""
+        while caller is not None:
+            if caller.f_code.co_filename.startswith(self._folder):
+                yield caller.f_code.co_filename
             caller = caller.f_back
-        self.switches += caller is not None and caller.f_code.co_filename != own
 
     def _counts(self, file: str) -> bool:
         own = threading.get_ident() == self._thread  # kernels tell of calls in any thread
@@ -147,12 +159,14 @@ class Flow(NamedTuple):
         calls: how many functions of the package were called.
         switches: how many of these calls led into another file.
         cycles: how many control cycles it took, if it tells.
+        tree: the calls, as in `Trace`.
     """
 
     files: list[str]
     calls: int
     switches: int
     cycles: int
+    tree: list[tuple[int, str]]
 
 
 def follow(flow: Callable[[Any], object], **until: Any) -> Flow:
@@ -164,7 +178,7 @@ def follow(flow: Callable[[Any], object], **until: Any) -> Flow:
         flow(trace)
     finally:
         Noted.trace = None
-    return Flow(list(trace.files), trace.calls, trace.switches, trace.cycles)
+    return Flow(list(trace.files), trace.calls, trace.switches, trace.cycles, trace.tree)
 
 
 def follow_all() -> tuple[dict[str, Flow], dict[str, int]]:
