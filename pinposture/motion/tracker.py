@@ -136,8 +136,8 @@ class Tracker:
     Send `positions` to position-controlled drives. They move by `dq`, and restart from the measured
     configuration only if the arm stays elsewhere (`resync_time`). Smaller errors, for instance because the
     arm sags or lags, are fed back slowly: the command overshoots the target by as much as the arm falls
-    short; for tasks of the controller, once the arm is steady. If the measured arm loses the margin to an
-    obstacle, the command moves such that it regains it.
+    short; with tasks of the controller, each time that the command has come to rest. If the measured arm
+    loses the margin to an obstacle, the command moves such that it regains it.
     Send `arm.drives.velocities(dq) / dt` to velocity-controlled drives; each step then starts at the
     measurement, within its noise.
 
@@ -255,6 +255,7 @@ class Tracker:
         self._obstacles = ObstacleVelocities(self.scene, arm.length)
         inner = self._of_command(limits)
         self._loop = Loop(arm.at(arm.neutral()), inner, SmoothSteps(arm, inner))
+        self._tasks = controller.tasks if isinstance(controller, Geodesic) else ()
         self._feedback = Feedback(
             arm,
             feedback_time_constant,
@@ -262,6 +263,7 @@ class Tracker:
             resync_time,
             drives,
             velocities=interface == "velocity",
+            with_tasks=bool(self._tasks),
         )
         self._arrival = Arrival(arm.length)
         self._pursuit = Blockage(arm, self._feedback.averaging_time)
@@ -273,8 +275,7 @@ class Tracker:
         self._age = 0.0
         self._decision: Decision | None = None
         self._dt = period
-        self._tasks = controller.tasks if isinstance(controller, Geodesic) else ()
-        self._displaced = np.zeros(arm.nv)
+        self._displaced = self._feedback.rest_offset
         self.overruns = 0
         self.report = Report("holding", "no step yet", None, None, None)
         kernels.load()
@@ -641,20 +642,17 @@ class Tracker:
             self._steps.controller = controller.with_offset(displacement)
 
     def _displace_tasks(self) -> None:
-        """Have the measured arm take the tasks of the controller, once its displacement has settled.
+        """Have the measured arm take the tasks of the controller, once its command has come to rest.
 
-        In motion it changes with the lag of the drives, and tasks that change need another path.
+        In motion the displacement changes with the lag of the drives, and other tasks need another path.
         """
         controller = self._steps.controller
         if not self._tasks or not isinstance(controller, Geodesic) or not self._feedback.compensates:
             return
-        displacement = np.zeros(self.arm.nv)
-        if self._feedback.displacement is not None:
-            displacement = self._feedback.displacement
-        noise = STALL.two_averages * self._feedback.noise
-        if self._feedback.steady and np.any(np.abs(displacement - self._displaced) > noise):
-            self._displaced = displacement
-            tasks = tuple(Displaced(task, displacement) for task in self._tasks)
+        offset = self._feedback.rest_offset
+        if offset is not self._displaced:
+            self._displaced = offset
+            tasks = tuple(Displaced(task, offset) for task in self._tasks)
             self._steps.controller = replace(controller, tasks=tasks)
 
     def _watch_blockages(self, decision: Decision, dq: Array, error: float | None, dt: float) -> None:

@@ -275,7 +275,7 @@ def test_a_sagging_arm_with_a_task_comes_to_rest_and_does_not_stay_stalled() -> 
     assert max(stalls, default=0) <= 20
     assert set(statuses[-100:]) == {"converged"}
     error = pin.log6(wanted.actInv(tip_of(arm, q))).vector
-    assert np.abs(error).max() < 1e-6
+    assert np.abs(error).max() < 2e-6  # the estimated noise of the average is 8e-7 rad
 
 
 def test_an_arm_that_only_falls_does_not_follow(arm: pp.Arm) -> None:

@@ -163,6 +163,47 @@ def test_an_arm_that_holds_its_tip_rests(arm: pp.Arm, calls: Counter[str], noise
     assert calls["plans"] == 0 and calls["steps"] <= 8
 
 
+def arrival(tip: bool, delay: int, lag: float, sag: np.ndarray | float = 0.0) -> float:
+    """Return when an arm arrives whose drives follow positions late, with its tip held to a pose or not [s].
+
+    Args:
+        tip: whether its tip has priority.
+        delay: delay of the drives, in cycles.
+        lag: time constant with which they follow then [s].
+        sag: by how much they stay off, (nv,) [rad].
+    """
+    arm = template_arm("RyRz", 8)
+    numbers = np.arange(8.0)
+    start = 0.4 * np.stack([np.sin(0.5 * numbers), np.cos(0.3 * numbers)], axis=1).ravel()
+    goal = 0.4 * np.stack([np.cos(0.7 * numbers), np.sin(0.4 * numbers + 1.0)], axis=1).ravel()
+    tasks = (pp.EndEffector.held(arm.at(goal), priority=True),) if tip else ()
+    tracker = Tracker(arm, pp.Geodesic(tasks=tasks), LIMITS)
+    tracker.update(Target.from_configuration(arm, goal))
+    q = start
+    sent = [start] * (delay + 1)
+    for cycle in range(1200):
+        tracker.step(q)
+        if tracker.report.status == "converged":
+            np.testing.assert_allclose(q, goal, atol=1e-3)
+            return 0.01 * cycle
+        sent = [*sent[1:], tracker.command]
+        q = q + 0.01 / (0.01 + lag) * (sent[0] + sag - q)
+    return np.inf
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("delay", "lag"), [(0, 0.05), (3, 0.05), (8, 0.05), (8, 0.0)])
+def test_a_tip_comes_to_its_pose_as_soon_as_drives_follow(delay: int, lag: float) -> None:
+    at_once = arrival(True, 0, 0.0)
+    assert arrival(True, delay, lag) <= at_once + 0.01 * delay + 4.0 * lag + 0.5
+
+
+@pytest.mark.long
+def test_a_tip_comes_to_its_pose_although_drives_lag_and_sag() -> None:
+    sag = 0.03 * np.random.default_rng(0).normal(size=16)
+    assert arrival(True, 3, 0.05, sag) <= 9.0
+
+
 @dataclass(eq=False)
 class Pointer:
     """Moves the tip to a place that can be changed, as a task of a user."""
