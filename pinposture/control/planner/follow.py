@@ -849,7 +849,7 @@ def step_along(
     path = progress.timed.path
     objective = progress.objective
     here = progress.s
-    tasks = objective.task_rows(state, priority=True)
+    tasks = None if path.task_errors is None else objective.task_rows(state, priority=True)
     proposal = _next_on_path(progress, state, step_bounds, bounds, tasks, avoidance is None)
     s, left, inside, held_back, dq, _ = proposal
     if s >= path.end and left <= ROUNDING:
@@ -940,7 +940,7 @@ def _planned_errors(progress: PathProgress, s: float, count: int) -> Array:
     so: near a singular configuration even the rounding of the path would need large steps.
     """
     path = progress.timed.path
-    before, after = path.task_errors
+    before, after = cast(tuple[Array, Array], path.task_errors)  # there are tasks on the way
     if len(before) != count:
         return np.zeros(count)
     share = s / path.end

@@ -93,7 +93,7 @@ def find_goal(
     known = objective.target.q is not None
     has_priority = any(task.priority for task in objective.tasks)
     # If a task with priority holds the arm, a distant goal may not be reachable: prefer one nearby.
-    held = _is_held(objective, state)
+    held = is_held(objective, state)
     better = GOAL.much_better if held else 1.0
     # An arm that violates the margin at the start may do so at the goal by as much.
     allowed = 0.0 if avoidance is None else avoidance.intrusion(state)
@@ -132,7 +132,7 @@ def _is_good_enough(objective: Objective, result: LeastSquaresResult, good: floa
     return fulfilled and result.mean_error <= good
 
 
-def _is_held(objective: Objective, state: ChainState) -> bool:
+def is_held(objective: Objective, state: ChainState) -> bool:
     """Whether tasks with priority hold the arm: their errors are within a module length."""
     errors = objective.errors_of_tasks(state, priority=True)
     typical = objective.arm.length / objective.arm.n_modules

@@ -92,7 +92,7 @@ class JointPath:
             empty if it is clear.
         found_by: how it was found: "relaxation", "tree search" or "withdrawal".
         task_errors: errors of the tasks with priority at the start and the end, 2 x (r,) [m]. In between they
-            should change linearly with the position.
+            should change linearly with the position. None: no path does, and the tasks count at the end.
     """
 
     objective: Objective
@@ -102,7 +102,7 @@ class JointPath:
     attempt: int = 0
     blocked_by: str = ""
     found_by: str = "relaxation"
-    task_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    task_errors: tuple[Array, Array] | None = (np.zeros(0), np.zeros(0))
 
     def __repr__(self) -> str:
         way = self.blocked_by or "clear"

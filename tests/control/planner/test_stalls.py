@@ -36,6 +36,47 @@ def test_a_joint_at_its_limit_is_named_and_no_other() -> None:
     assert len(held) < 4
 
 
+def wave(phases: tuple[float, float], rates: tuple[float, float]) -> np.ndarray:
+    """Joints of eight modules RyRz that bend in two waves, (16,) [rad]."""
+    numbers = np.arange(8.0)
+    joints = [0.4 * np.sin(rate * numbers + phase) for phase, rate in zip(phases, rates, strict=True)]
+    return np.stack(joints, axis=1).ravel()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", [None, Scene()])
+@pytest.mark.parametrize(
+    ("start", "goal"),
+    [
+        (wave((1.9, 1.1), (0.5, 0.6)), wave((4.0, 1.2), (0.8, 0.2))),
+        (wave((2.7, 4.8), (0.4, 0.3)), wave((1.4, 0.3), (0.3, 0.5))),
+        (wave((3.8, 5.4), (0.3, 0.2)), wave((1.0, 0.9), (0.5, 0.3))),
+    ],
+)
+def test_a_tip_that_the_body_turns_the_longer_way_round_arrives_as_without_its_task(
+    start: np.ndarray, goal: np.ndarray, scene: Scene | None
+) -> None:
+    arm = template_arm("RyRz", 8)
+    target = pp.Target.from_configuration(arm, goal)
+    tip = EndEffector.held(arm.at(goal), priority=True)
+    limits = pp.Limits(velocity=1.0, acceleration=4.0, dt=0.01)
+    with_tip, without = (
+        pp.track(arm, target, start, pp.Geodesic(tasks=tasks), limits, scene=scene) for tasks in ((tip,), ())
+    )
+    assert with_tip.status == "converged"
+    np.testing.assert_allclose(with_tip.q[-1], goal, atol=1e-5)
+    assert with_tip.steps <= 1.1 * without.steps
+
+
+def test_a_tip_that_is_held_stays_where_the_body_turns_round() -> None:
+    arm = template_arm("RyRz", 8)
+    start = wave((2.7, 4.8), (0.4, 0.3))
+    tip = EndEffector.held(arm.at(start), priority=True)
+    target = pp.Target.from_configuration(arm, wave((1.4, 0.3), (0.3, 0.5)))
+    path = pp.plan(arm.at(start), target, tasks=(tip,))
+    assert path.task_errors is not None
+
+
 def test_joints_that_only_accelerate_are_not_said_to_be_at_their_limits() -> None:
     arm = pp.Arm.from_template("Rz", 4)
     limits = pp.Limits(step=None, dt=0.1, velocity=1.0, acceleration=0.5)
