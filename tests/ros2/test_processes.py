@@ -187,5 +187,6 @@ def test_a_motion_is_performed_once_from_its_start(graph: Any, arm_file: Path, t
         assert ups() == 2
         assert means().max() > 0.39
         assert abs(means()[-1] - 0.2) < 0.01
-        # Servos overshoot where the machine is so busy that commands come late: what is sent tells.
-        assert max(np.mean(each.points[0].positions) for each in commands) < 0.41
+        # Servos overshoot where the machine is so busy that commands come late: what is sent tells. It leads
+        # the motion by as much as the servos lag; on a busy machine by 0.015 rad.
+        assert max(np.mean(each.points[0].positions) for each in commands) < 0.43
