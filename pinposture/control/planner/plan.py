@@ -237,16 +237,16 @@ def find_path(
             return path
         return _clearest_path(problem, goal, tasks, attempt, until, report, path)
 
-    path = clearest(_task_rows(objective, state, goal))
+    path = clearest(_task_rows(objective, state, goal) if objective.tasks else None)
     ends = _task_errors(objective, state, goal)
     errors: tuple[Array, Array] | None = ends
-    off = _task_deviation(path, ends)
-    change = float(np.linalg.norm(ends[1] - ends[0]))
-    if off > PLAN.task_deviation * change and not is_held(objective, state):
-        free = clearest(None)
-        if off > PLAN.task_gain * _task_deviation(free, ends) and not free.blocked_by:
-            path = free
-            errors = None
+    if len(ends[0]) and not is_held(objective, state):
+        off = _task_deviation(path, ends)
+        if off > PLAN.task_deviation * float(np.linalg.norm(ends[1] - ends[0])):
+            free = clearest(None)
+            if off > PLAN.task_gain * _task_deviation(free, ends) and not free.blocked_by:
+                path = free
+                errors = None
     scene = None if avoidance is None else avoidance.clearance.scene
     path = replace(path, scene=scene, attempt=attempt, task_errors=errors)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.blocked_by)
@@ -256,8 +256,6 @@ def find_path(
 def _task_deviation(path: JointPath, ends: tuple[Array, Array]) -> float:
     """Return by how much the errors of tasks with priority leave a straight change between ends, (r,) [m]."""
     first, last = ends
-    if not len(first):
-        return 0.0
     s = np.linspace(0.0, path.end, 4 * int(path.end) + 1)  # a leap may lie between two waypoints
     states = (path.arm.chain_at(q) for q in path.arm.integrate(path.start, path.offset(s)))
     errors = np.array([path.objective.errors_of_tasks(at, priority=True) for at in states])
@@ -586,10 +584,8 @@ def _possible_clearance(avoidance: Avoidance, state: ChainState, goal: ChainStat
     return min(avoidance.margin, *ends) - 1e-9 * state.arm.length
 
 
-def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> RowsAlongPath | None:
-    """Return the rows of the tasks along the path; None without tasks."""
-    if not objective.tasks:
-        return None
+def _task_rows(objective: Objective, state: ChainState, goal: ChainState) -> RowsAlongPath:
+    """Return the rows of the tasks along the path."""
     kinds = [(PLAN.task_root, False), (PLAN.task_root * float(np.sqrt(OBJECTIVE.priority_weight)), True)]
     ends = [[objective.errors_of_tasks(at, priority) for at in (state, goal)] for _, priority in kinds]
 
