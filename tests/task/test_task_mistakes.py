@@ -190,6 +190,7 @@ def mutated(draw: Any, task: dict[str, Any]) -> dict[str, Any]:
     return task
 
 
+@pytest.mark.filterwarnings("ignore::pinposture.errors.PostureWarning")  # of a long cycle
 @examples(150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_whatever_is_changed_there_is_a_task_or_one_line(folder: Path, data: st.DataObject) -> None:
