@@ -44,7 +44,7 @@ DEFINITIONS = (ast.FunctionDef, ast.ClassDef)
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
     "files": 229,  # 170
-    "definitions": 5480,
+    "definitions": 5481,
     "constants": 400,
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0

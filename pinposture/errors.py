@@ -77,6 +77,13 @@ class PostureWarning(UserWarning):
     """An input was interpreted or corrected in a way that the user may not expect."""
 
 
+def is_interruption(error: BaseException | None) -> bool:
+    """Return whether an error is a KeyboardInterrupt, or what compiled code makes of one: a SystemError."""
+    if isinstance(error, SystemError):
+        return is_interruption(error.__cause__)
+    return isinstance(error, KeyboardInterrupt)
+
+
 def warn_caller(message: str) -> None:
     """Issue a PostureWarning that points to the line outside of this package from which it was called."""
     between = {"pinposture", "functools", "contextlib", "pydantic"}  # and what calls it from within itself

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pinposture._validation import LARGEST_COORDINATE, is_whole
 from pinposture.arm import ArmState
 from pinposture.control.limits import LimitedStep, Limits, require_limits
-from pinposture.errors import ControllerError, InvalidValue, PostureError
+from pinposture.errors import ControllerError, InvalidValue, PostureError, is_interruption
 from pinposture.placement import Target
 from pinposture.placement.target import check_numbers
 
@@ -233,12 +233,15 @@ def call_own(owner: str, call: str, function: Callable[..., Any], *arguments: ob
 
     Raises:
         ControllerError: it raised an exception that is no `PostureError`; its cause is the exception.
+        KeyboardInterrupt: it was interrupted, also in compiled code.
     """
     try:
         return function(*arguments)
     except PostureError:
         raise
     except Exception as error:
+        if is_interruption(error):
+            raise KeyboardInterrupt from error
         raise ControllerError(owner, describe_exception(error), call) from error
 
 

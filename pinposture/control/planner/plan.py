@@ -37,7 +37,7 @@ from pinposture.control.planner.trajectory_optimization import (
     relax_path,
 )
 from pinposture.control.tasks import ControlTask
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, is_interruption
 from pinposture.placement import Target
 from pinposture.units import ROUNDING
 
@@ -431,8 +431,8 @@ def _clearest_path(
                 return path
             if perf_counter() >= until:
                 break
-    except KeyboardInterrupt:
-        if report is None:
+    except (KeyboardInterrupt, SystemError) as error:
+        if report is None or not is_interruption(error):
             raise
         logger.warning("planning was interrupted; the best path so far is returned")
     return tried.best()
@@ -571,7 +571,7 @@ class _Candidates:
             relaxed = relax_path(
                 objective, start, offsets, position_limits, self._penalties(PLAN.searched_root)
             )
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemError):
             self.judge(raw)
             raise
         yield from (replace(path, found_by=found_by) for path in relaxed)

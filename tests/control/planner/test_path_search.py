@@ -14,6 +14,7 @@ from sampling import cases, seeds
 
 import pinposture as pp
 from pinposture.collision import CollisionModel
+from pinposture.control.controller import call_own
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import PlanningProblem
 from pinposture.control.planner.geodesic import PromptGeodesic, plan_from
@@ -22,6 +23,7 @@ from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import FoundPath, PathSearch
 from pinposture.control.planner.plan import PLAN, PlanNeeded, repair
 from pinposture.control.planner.trajectory_optimization import Penalties, relax_path
+from pinposture.errors import ControllerError
 
 MARGIN = 0.005
 
@@ -339,6 +341,21 @@ def test_a_straight_motion_through_an_obstacle_is_not_told() -> None:
 
     pp.plan(arm().at(start), pp.Target.from_configuration(arm(), goal), scene, progress=note)
     assert told == [None]
+
+
+def interrupt_in_compiled_code(*_: object) -> None:
+    """Raise what numba makes of an interruption while it hands over a result."""
+    raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+
+def test_an_interruption_in_compiled_code_is_one() -> None:
+    scene, start, goal = through_a_hole(1)
+    target = pp.Target.from_configuration(arm(), goal)
+    assert pp.plan(arm().at(start), target, scene, progress=interrupt_in_compiled_code).blocked_by
+    with pytest.raises(KeyboardInterrupt):
+        call_own("Own", "step(...)", interrupt_in_compiled_code)
+    with pytest.raises(ControllerError, match="SystemError"):
+        call_own("Own", "step(...)", exec, "raise SystemError")
 
 
 @pytest.mark.long
