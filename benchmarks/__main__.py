@@ -47,6 +47,7 @@ SCRIPTS = (
     "ros2",
     "scan_obstacles",
     "sensed",
+    "settings",
     "shape",
     "soak",
     "steering",
